@@ -1,0 +1,164 @@
+//! The launch file: which processes make up a pipeline. One `[[process]]` each.
+
+use serde::{Deserialize, Serialize};
+
+use crate::ConfigError;
+use crate::presets::preset;
+
+/// The part that a process plays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// Publishes odometry, obeys commands, paces the loop.
+    Vehicle,
+    /// Turns odometry into raw commands.
+    Controller,
+    /// Passes raw commands on as commands, within limits.
+    Supervisor,
+    /// Proposes gains, learns from reports.
+    Trainer,
+}
+
+impl Role {
+    /// Every role.
+    pub const ALL: [Role; 4] = [Role::Vehicle, Role::Supervisor, Role::Controller, Role::Trainer];
+
+    /// The role's name in launch files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Role::Vehicle => "vehicle",
+            Role::Controller => "controller",
+            Role::Supervisor => "supervisor",
+            Role::Trainer => "trainer",
+        }
+    }
+
+    /// The role with this name.
+    pub fn parse(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|role| role.name() == name)
+    }
+
+    /// Our own service in that role.
+    pub fn own_service(self) -> &'static str {
+        match self {
+            Role::Vehicle => "simulator",
+            other => other.name(),
+        }
+    }
+}
+
+/// One process of the pipeline.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProcessEntry {
+    /// The part it plays.
+    pub role: Role,
+    /// A program of the user's in that role; our own service where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub command: Option<String>,
+    /// Whether the same request always gives the same drive.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deterministic: Option<bool>,
+}
+
+impl ProcessEntry {
+    /// Whether the same request gives the same drive: ours do, a user's program only if it says so.
+    pub fn is_deterministic(&self) -> bool {
+        self.deterministic.unwrap_or(self.command.is_none())
+    }
+}
+
+/// A launch file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Launch {
+    /// The processes, in the order in which they start.
+    pub process: Vec<ProcessEntry>,
+}
+
+impl Launch {
+    /// The embedded launch file of a training.
+    pub fn train() -> Self {
+        let preset = preset("launch/train.toml").expect("embedded");
+        Self::parse(preset.path, preset.text).expect("the preset is checked by a test")
+    }
+
+    /// Parses a launch file; `origin` names it in errors.
+    ///
+    /// # Errors
+    /// At a syntax error or an unknown key, with its line; if a role is missing or filled twice.
+    pub fn parse(origin: &str, text: &str) -> Result<Self, ConfigError> {
+        let launch: Self = toml::from_str(text).map_err(|error| {
+            let offset = error.span().map_or(0, |span| span.start).min(text.len());
+            let line = text.as_bytes()[..offset].iter().filter(|byte| **byte == b'\n').count() + 1;
+            ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
+        })?;
+        for role in Role::ALL {
+            let times = launch.process.iter().filter(|entry| entry.role == role).count();
+            if times != 1 {
+                let problem = format!("the role {} is filled {times} times, not once", role.name());
+                return Err(ConfigError::new(origin, "process", problem));
+            }
+        }
+        Ok(launch)
+    }
+
+    /// Puts a command in a role, from `ROLE=COMMAND`.
+    ///
+    /// # Errors
+    /// If there is no `=`, no such role, or no command.
+    pub fn replace(&mut self, replacement: &str) -> Result<(), ConfigError> {
+        let origin = format!("--replace {replacement}");
+        let Some((role, command)) = replacement.split_once('=') else {
+            return Err(ConfigError::new(origin, "", "has no '='; write --replace ROLE='COMMAND'"));
+        };
+        let Some(role) = Role::parse(role.trim()) else {
+            let names = Role::ALL.map(Role::name).join(", ");
+            return Err(ConfigError::new(origin, "", format!("unknown role; there are {names}")));
+        };
+        if command.trim().is_empty() {
+            return Err(ConfigError::new(origin, role.name(), "the command is empty"));
+        }
+        for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
+            entry.command = Some(command.to_owned());
+            entry.deterministic = None;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_preset_fills_each_role_with_our_own_service() {
+        let launch = Launch::train();
+        assert_eq!(launch.process.len(), Role::ALL.len());
+        assert!(launch.process.iter().all(ProcessEntry::is_deterministic));
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        let check = |text: &str, part: &str| {
+            let message = Launch::parse("my.toml", text).unwrap_err().to_string();
+            assert!(message.contains(part), "{message:?} lacks {part:?}");
+        };
+        check("[[process]]\nrole = 'pilot'", "my.toml:2");
+        check("[[process]]\nrole = 'vehicle'\ncolour = 1", "my.toml:3");
+        check("[[process]]\nrole = 'vehicle'", "supervisor is filled 0 times");
+        check("process = [", "my.toml:1");
+    }
+
+    #[test]
+    fn a_replacement_takes_one_role() {
+        let mut launch = Launch::train();
+        launch.replace("vehicle=python3 car.py --port=3").unwrap();
+        let vehicle = launch.process.iter().find(|entry| entry.role == Role::Vehicle).unwrap();
+        assert_eq!(vehicle.command.as_deref(), Some("python3 car.py --port=3"));
+        assert!(!vehicle.is_deterministic());
+        assert!(launch.replace("vehicle").is_err());
+        assert!(launch.replace("pilot=x").is_err());
+        assert!(launch.replace("vehicle= ").is_err());
+    }
+}

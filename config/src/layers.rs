@@ -1,0 +1,347 @@
+//! Layers of a configuration, stacked, each value with the place it came from.
+
+use std::collections::BTreeMap;
+use std::fs;
+
+use toml::{Table, Value};
+use toml_edit::TableLike;
+
+use crate::presets::{maneuver_names, nearest, preset};
+use crate::{ConfigError, RunConfig, validate};
+
+/// A stack of layers, the topmost value of each key with its origin.
+#[derive(Debug, Clone)]
+pub struct Layers {
+    values: Table,
+    /// Where a key was last set, by its dotted path; presets where absent.
+    origins: BTreeMap<String, String>,
+    base: String,
+}
+
+impl Layers {
+    /// The embedded layers of a manoeuvre: readings, manoeuvre, vehicle.
+    ///
+    /// # Errors
+    /// If no manoeuvre has that name; the error names the nearest one.
+    pub fn maneuver(name: &str) -> Result<Self, ConfigError> {
+        let Some(maneuver) = preset(&format!("maneuvers/{name}.toml")) else {
+            let known: Vec<_> = maneuver_names().collect();
+            let hint = match nearest(name, known.iter().copied()) {
+                Some(near) => format!("did you mean {near}?"),
+                None => format!("there are {}", known.join(", ")),
+            };
+            return Err(ConfigError::new("maneuver", "", format!("unknown: {name}; {hint}")));
+        };
+        let readings = preset("readings.toml").expect("embedded");
+        let mut values = parse_table(readings.path, readings.text)?;
+        merge(&mut values, parse_table(maneuver.path, maneuver.text)?);
+        let base = format!("config/{}", maneuver.path);
+        let mut layers = Self { values, origins: BTreeMap::new(), base };
+        let vehicle = layers.values["vehicle_preset"].as_str().unwrap_or_default().to_owned();
+        layers.load_vehicle(&vehicle, "config")?;
+        Ok(layers)
+    }
+
+    /// Lays a user's document on top. `origin` names it in errors, usually its path.
+    ///
+    /// # Errors
+    /// At the first key that no preset has, value of another type, or syntax error, with its line.
+    pub fn add_document(&mut self, origin: &str, text: &str) -> Result<(), ConfigError> {
+        let document = toml_edit::Document::parse(text).map_err(|error| {
+            let line = error.span().map_or(1, |span| line_of(text, span.start));
+            ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
+        })?;
+        let mut values = parse_table(origin, text)?;
+        if let Some(Value::String(vehicle)) = values.get("vehicle_preset").cloned() {
+            self.load_vehicle(&vehicle, origin)?;
+        }
+        let mut leaves = Vec::new();
+        walk(document.as_table(), &self.values, &self.values, "", &mut leaves, &|span| {
+            format!("{origin}:{}", span.map_or(1, |span: std::ops::Range<usize>| line_of(text, span.start)))
+        })?;
+        for (key, origin) in leaves {
+            let value = take(&mut values, &key).expect("the same document, parsed twice");
+            self.replace(&key, value, origin)?;
+        }
+        Ok(())
+    }
+
+    /// Sets one key from `KEY=VALUE`, the value in TOML's notation (a bare word is a string).
+    ///
+    /// # Errors
+    /// If there is no `=`, no such key, or the value is of another type.
+    pub fn set(&mut self, assignment: &str) -> Result<(), ConfigError> {
+        let origin = format!("--set {assignment}");
+        let Some((key, text)) = assignment.split_once('=') else {
+            return Err(ConfigError::new(origin, "", "has no '='; write --set key=value"));
+        };
+        let (key, text) = (key.trim(), text.trim());
+        let value = match parse_table(&origin, &format!("value = {text}")) {
+            Ok(mut table) if table.len() == 1 => table.remove("value").expect("just written"),
+            _ => Value::String(text.to_owned()),
+        };
+        if key == "vehicle_preset" {
+            self.load_vehicle(text, &origin)?;
+        }
+        if let Value::Table(_) = value {
+            let table = format!("{key} = {text}");
+            return self.add_document(&origin, &table);
+        }
+        self.replace(key, value, origin)
+    }
+
+    /// Sets one key on behalf of a command line option named `origin`.
+    ///
+    /// # Errors
+    /// As [`Layers::set`].
+    pub fn put(
+        &mut self,
+        origin: &str,
+        key: &str,
+        value: impl Into<Value>,
+    ) -> Result<(), ConfigError> {
+        self.replace(key, value.into(), origin.to_owned())
+    }
+
+    /// Parses the stack into a valid configuration.
+    ///
+    /// # Errors
+    /// At the first value that is out of range or does not fit the others.
+    pub fn resolve(self) -> Result<RunConfig, ConfigError> {
+        let Self { values, origins, base } = self;
+        let origin_of = |key: &str| {
+            // The key itself, else a part of it, else what it is a part of.
+            let below = format!("{key}.");
+            if let Some((_, origin)) = origins.iter().find(|(set, _)| set.starts_with(&below)) {
+                return origin.clone();
+            }
+            let mut key = key;
+            loop {
+                if let Some(origin) = origins.get(key) {
+                    return origin.clone();
+                }
+                match key.rfind(['.', '[']) {
+                    Some(end) => key = &key[..end],
+                    None => return base.clone(),
+                }
+            }
+        };
+        let config: RunConfig = serde_path_to_error::deserialize(Value::Table(values)).map_err(
+            |error| {
+                let key = error.path().to_string();
+                ConfigError::new(origin_of(&key), key, error.inner().message().to_owned())
+            },
+        )?;
+        validate::validate(&config)
+            .map_err(|(key, problem)| ConfigError::new(origin_of(&key), key, problem))?;
+        Ok(config)
+    }
+
+    fn load_vehicle(&mut self, name: &str, origin: &str) -> Result<(), ConfigError> {
+        let default = preset("vehicles/tesla_model_3.toml").expect("embedded");
+        let mut vehicle = parse_table(default.path, default.text)?;
+        if let Some(preset) = preset(&format!("vehicles/{name}.toml")) {
+            merge(&mut vehicle, parse_table(preset.path, preset.text)?);
+            self.values.insert("vehicle".to_owned(), Value::Table(vehicle));
+            return Ok(());
+        }
+        let text = fs::read_to_string(name).map_err(|error| {
+            let problem = format!("{name:?} is neither a vehicle preset nor a file: {error}");
+            ConfigError::new(origin, "vehicle_preset", problem)
+        })?;
+        // The file's keys stand below `vehicle`, so that they are checked like any other layer's.
+        self.values.insert("vehicle".to_owned(), Value::Table(vehicle));
+        let mut below = Self {
+            values: self.values["vehicle"].as_table().expect("just set").clone(),
+            origins: BTreeMap::new(),
+            base: name.to_owned(),
+        };
+        below.add_document(name, &text)?;
+        self.values.insert("vehicle".to_owned(), Value::Table(below.values));
+        for (key, origin) in below.origins {
+            self.origins.insert(format!("vehicle.{key}"), origin);
+        }
+        Ok(())
+    }
+
+    fn replace(&mut self, key: &str, value: Value, origin: String) -> Result<(), ConfigError> {
+        let slot = find_mut(&mut self.values, key);
+        let Some(slot) = slot else {
+            return Err(unknown_key(&self.values, key, origin));
+        };
+        check_kind(slot, &value, key, &origin)?;
+        *slot = value;
+        self.origins.insert(key.to_owned(), origin);
+        Ok(())
+    }
+}
+
+fn parse_table(origin: &str, text: &str) -> Result<Table, ConfigError> {
+    text.parse::<Table>().map_err(|error| {
+        let line = error.span().map_or(1, |span| line_of(text, span.start));
+        ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
+    })
+}
+
+fn line_of(text: &str, offset: usize) -> usize {
+    text.as_bytes()[..offset.min(text.len())].iter().filter(|byte| **byte == b'\n').count() + 1
+}
+
+fn merge(below: &mut Table, above: Table) {
+    for (key, value) in above {
+        match (below.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => merge(below, above),
+            (_, value) => {
+                below.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Collects the leaves of a user's table with their origins, checking that each stands in `known` too.
+fn walk(
+    table: &dyn TableLike,
+    root: &Table,
+    known: &Table,
+    above: &str,
+    leaves: &mut Vec<(String, String)>,
+    origin: &dyn Fn(Option<std::ops::Range<usize>>) -> String,
+) -> Result<(), ConfigError> {
+    for (name, item) in table.iter() {
+        let key = if above.is_empty() { name.to_owned() } else { format!("{above}.{name}") };
+        let place = origin(table.key(name).and_then(toml_edit::Key::span).or_else(|| item.span()));
+        match (known.get(name), item.as_table_like()) {
+            (Some(Value::Table(below)), Some(table)) => walk(table, root, below, &key, leaves, origin)?,
+            (Some(_), _) => leaves.push((key, place)),
+            (None, _) => return Err(unknown_key(root, &key, place)),
+        }
+    }
+    Ok(())
+}
+
+fn find_mut<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {
+    match key.split_once('.') {
+        None => table.get_mut(key),
+        Some((head, rest)) => find_mut(table.get_mut(head)?.as_table_mut()?, rest),
+    }
+}
+
+fn take(table: &mut Table, key: &str) -> Option<Value> {
+    match key.split_once('.') {
+        None => table.remove(key),
+        Some((head, rest)) => take(table.get_mut(head)?.as_table_mut()?, rest),
+    }
+}
+
+/// Every dotted key of a table, leaves only.
+fn keys(table: &Table, above: &str, all: &mut Vec<String>) {
+    for (name, value) in table {
+        let key = if above.is_empty() { name.clone() } else { format!("{above}.{name}") };
+        match value {
+            Value::Table(table) => keys(table, &key, all),
+            _ => all.push(key),
+        }
+    }
+}
+
+fn unknown_key(known: &Table, key: &str, origin: String) -> ConfigError {
+    let mut all = Vec::new();
+    keys(known, "", &mut all);
+    let word = key.rsplit('.').next().unwrap_or(key);
+    let near = nearest(key, all.iter().map(String::as_str)).or_else(|| {
+        all.iter().map(String::as_str).find(|known| known.rsplit('.').next() == Some(word))
+    });
+    let hint = match near {
+        Some(near) => format!("did you mean {near}?"),
+        None => "`pathtune config show` lists them all".to_owned(),
+    };
+    ConfigError::new(origin, key, format!("unknown key; {hint}"))
+}
+
+fn check_kind(old: &Value, new: &Value, key: &str, origin: &str) -> Result<(), ConfigError> {
+    let fits = match (old, new) {
+        (Value::Float(_), Value::Integer(_)) => true,
+        _ => old.type_str() == new.type_str(),
+    };
+    if fits {
+        return Ok(());
+    }
+    let problem = format!("must be {}, and is {}", with_article(old), with_article(new));
+    Err(ConfigError::new(origin, key, problem))
+}
+
+fn with_article(value: &Value) -> String {
+    let kind = value.type_str();
+    let article = if kind.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" };
+    format!("{article} {kind}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(result: Result<impl std::fmt::Debug, ConfigError>) -> String {
+        result.unwrap_err().to_string()
+    }
+
+    #[test]
+    fn every_maneuver_resolves() {
+        for name in maneuver_names() {
+            let config = Layers::maneuver(name).unwrap().resolve().unwrap();
+            assert_eq!(config.maneuver, name);
+        }
+    }
+
+    #[test]
+    fn a_resolved_configuration_is_a_layer_that_changes_nothing() {
+        let config = Layers::maneuver("roundabout").unwrap().resolve().unwrap();
+        let text = toml::to_string(&config).unwrap();
+        let mut again = Layers::maneuver("roundabout").unwrap();
+        again.add_document("resolved.toml", &text).unwrap();
+        assert_eq!(again.resolve().unwrap(), config);
+    }
+
+    #[test]
+    fn mistakes_name_place_key_and_way_out() {
+        let check = |text: &str, parts: &[&str]| {
+            let mut layers = Layers::maneuver("lane_change").unwrap();
+            let result = layers.add_document("my.toml", text).and_then(|()| layers.resolve());
+            let message = message(result);
+            for part in parts {
+                assert!(message.contains(part), "{message:?} lacks {part:?}");
+            }
+            assert!(!message.contains('\n'), "{message:?}");
+        };
+        check("\n[learning]\nepisods = 3", &["my.toml:3", "learning.episods", "mean learning.episodes"]);
+        check("[learning]\nepisodes = 'x'", &["my.toml:2", "learning.episodes", "integer", "string"]);
+        check("[learning]\nepisodes = 0", &["my.toml:2", "learning.episodes", "0", "[1, 100000]"]);
+        check("[learning\n", &["my.toml:1"]);
+        check("[run]\nalphas = [0.5, 1.5]", &["my.toml:2", "run.alphas", "1.5", "(0, 1]"]);
+        check("[learning]\ntuner = 'sarsa'", &["my.toml:2", "learning.tuner", "sarsa"]);
+        check("[grid]\nkv = { min = 3.0, max = 1.0 }", &["my.toml:2", "grid.kv", "reversed"]);
+        check("[grid.kv]\nstep = 0.0", &["my.toml:2", "grid.kv.step"]);
+        check("[path]\npieces = []", &["my.toml:2", "path.pieces"]);
+        check("[path]\npieces = [{ kind = 'loop' }]", &["my.toml:2", "path.pieces", "loop"]);
+        check("[noise]\nposition_sd_m = nan", &["my.toml:2", "noise.position_sd_m", "NaN"]);
+    }
+
+    #[test]
+    fn single_keys_take_toml_or_a_bare_word() {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set("learning.episodes = 3").unwrap();
+        layers.set("learning.tuner=q").unwrap();
+        layers.set("grid.kv={min=0.1,max=0.1,step=1.0}").unwrap();
+        assert!(message(layers.set("learning.episodes")).contains("no '='"));
+        assert!(message(layers.set("nothing.here=1")).contains("unknown key"));
+        let config = layers.resolve().unwrap();
+        assert_eq!(config.learning.episodes, 3);
+        assert_eq!(config.learning.tuner, crate::Tuner::Q);
+        assert_eq!(config.grid.len(), 125);
+    }
+
+    #[test]
+    fn an_unknown_maneuver_names_the_nearest() {
+        assert!(message(Layers::maneuver("lanechange")).contains("did you mean lane_change?"));
+        assert!(message(Layers::maneuver("xyz")).contains("lane_change, roundabout"));
+    }
+}

@@ -1,0 +1,25 @@
+//! What a run is made of: the TOML presets in this folder, their schema, and clear errors for whoever
+//! edits them.
+//!
+//! A run's configuration is a stack of layers, each a TOML document with the same keys: `readings.toml`,
+//! the manoeuvre, the vehicle (under `vehicle.`), a user's file, single keys. [`Layers`] stacks them and
+//! remembers where each value came from; [`Layers::resolve`] parses the result once into a [`RunConfig`],
+//! which is valid by construction: behind it nothing checks again.
+//!
+//! SI units and radians throughout; the suffix of a key is its unit.
+
+mod error;
+mod layers;
+pub mod launch;
+mod presets;
+mod schema;
+mod validate;
+
+
+pub use error::ConfigError;
+pub use layers::Layers;
+pub use presets::{Preset, maneuver_names, nearest, presets};
+pub use schema::*;
+
+/// The largest fleet that one message carries.
+pub const MAX_FLEET: usize = validate::MAX_FLEET as usize;

@@ -1,0 +1,513 @@
+//! The resolved configuration of a run. Every key is documented beside its value in the presets; the
+//! comments here say what the presets cannot.
+
+use serde::{Deserialize, Serialize};
+
+/// Everything that decides what a run computes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunConfig {
+    /// Name of the manoeuvre.
+    pub maneuver: String,
+    /// Name or file of the vehicle preset.
+    pub vehicle_preset: String,
+    /// The set that the paper chose for this manoeuvre.
+    pub paper_gains: Gains,
+    /// The path to be driven.
+    pub path: PathConfig,
+    /// How the reference pose advances.
+    pub reference: Reference,
+    /// Length and pace of a drive.
+    pub drive: Drive,
+    /// Settings of the control law.
+    pub controller: Controller,
+    /// Settings of the safety gate and of the zones.
+    pub supervisor: Supervisor,
+    /// Noise of the odometry.
+    pub noise: Noise,
+    /// Lane edges, and what touching them costs.
+    pub collision: Collision,
+    /// The gain sets that can be chosen.
+    pub grid: Grid,
+    /// The learners.
+    pub learning: Learning,
+    /// What differs from run to run.
+    pub run: Run,
+    /// The vehicle.
+    pub vehicle: Vehicle,
+}
+
+impl RunConfig {
+    /// Ticks of a full drive.
+    pub fn ticks(&self) -> u64 {
+        (self.drive.loop_time_s / self.drive.tick_s).round() as u64
+    }
+
+    /// Vehicles of the fleet: `run.fleet`, or one a learner.
+    pub fn fleet(&self) -> usize {
+        match self.run.fleet {
+            0 => self.run.alphas.len(),
+            fleet => fleet as usize,
+        }
+    }
+}
+
+/// The four gains of the paper's control law (its equation 2).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Gains {
+    /// Linear velocity gain, 1/s.
+    pub kv: f64,
+    /// Linear gain on the cross-track error, rad/(m·s).
+    pub kl: f64,
+    /// Steering gain on the heading error, 1/s.
+    pub ks: f64,
+    /// Low-pass filter gain, without unit.
+    pub ki: f64,
+}
+
+impl Gains {
+    /// The gains in the paper's order (Kv, Kl, Ks, Ki).
+    pub fn to_array(self) -> [f64; 4] {
+        [self.kv, self.kl, self.ks, self.ki]
+    }
+
+    /// Gains from the paper's order (Kv, Kl, Ks, Ki).
+    pub fn from_array([kv, kl, ks, ki]: [f64; 4]) -> Self {
+        Self { kv, kl, ks, ki }
+    }
+
+    /// Names of the gains in the paper's order.
+    pub const NAMES: [&'static str; 4] = ["kv", "kl", "ks", "ki"];
+}
+
+/// A pose in the map frame (REP-103: x forward, y left, yaw counter-clockwise).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseConfig {
+    /// x in the map frame.
+    pub x_m: f64,
+    /// y in the map frame.
+    pub y_m: f64,
+    /// Yaw in the map frame.
+    pub yaw_rad: f64,
+}
+
+/// A path as a chain of pieces.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PathConfig {
+    /// Pose of the path's start.
+    pub start: PoseConfig,
+    /// The pieces, one behind the other.
+    pub pieces: Vec<Piece>,
+    /// The zones, in the order of the path.
+    pub zones: Vec<ZoneConfig>,
+}
+
+/// One piece of a path.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Piece {
+    /// Straight on.
+    Straight {
+        /// Length.
+        length_m: f64,
+    },
+    /// To another lane: its heading is the diagonal's own, and the old one again behind it.
+    Diagonal {
+        /// Distance ahead, in the heading before the piece.
+        length_m: f64,
+        /// Distance to the left; negative to the right.
+        offset_m: f64,
+    },
+    /// Part of a circle.
+    Arc {
+        /// Radius.
+        radius_m: f64,
+        /// Angle turned; positive to the left.
+        angle_deg: f64,
+    },
+}
+
+/// A stretch of the path on which one manoeuvre is due.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ZoneConfig {
+    /// Name of the manoeuvre that is due.
+    pub name: String,
+    /// Where the zone begins, along the path.
+    pub from_m: f64,
+}
+
+macro_rules! choice {
+    ($(#[$doc:meta])* $name:ident { $($(#[$variant_doc:meta])* $variant:ident),+ $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum $name { $($(#[$variant_doc])* $variant),+ }
+    };
+}
+
+choice!(
+    /// How the reference pose advances.
+    Advance {
+        /// With time, at a set speed after a ramp from rest.
+        Time,
+        /// With the measured pose's projection on the path.
+        Projection,
+    }
+);
+
+/// How the reference pose advances.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Reference {
+    pub advance: Advance,
+    pub lookahead_m: f64,
+    pub speed_mps: f64,
+    pub ramp_s: f64,
+}
+
+/// Length and pace of a drive.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Drive {
+    pub loop_time_s: f64,
+    pub tick_s: f64,
+    pub goal_radius_m: f64,
+}
+
+/// Settings of the control law.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Controller {
+    pub steering_limit_rad: f64,
+}
+
+choice!(
+    /// Where the vehicle is, for the zones.
+    ZoneBy {
+        /// By the measured pose's projection on the path.
+        Measured,
+        /// By the reference's progress.
+        Reference,
+    }
+);
+
+/// Settings of the safety gate and of the zones.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Supervisor {
+    pub speed_limit_mps: f64,
+    pub zone_by: ZoneBy,
+    pub zone_hysteresis_m: f64,
+}
+
+/// Noise on the measured pose.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Noise {
+    pub enabled: bool,
+    pub position_sd_m: f64,
+    pub heading_half_width_rad: f64,
+}
+
+/// Lane edges, and what touching them costs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Collision {
+    pub enabled: bool,
+    pub lane_half_width_m: f64,
+    pub penalty: f64,
+}
+
+/// The gain sets that can be chosen: the product of four axes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented in readings.toml")]
+pub struct Grid {
+    pub kv: Axis,
+    pub kl: Axis,
+    pub ks: Axis,
+    pub ki: Axis,
+}
+
+/// One axis of the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Axis {
+    /// First value.
+    pub min: f64,
+    /// Last value, up to rounding.
+    pub max: f64,
+    /// Distance of neighbouring values.
+    pub step: f64,
+}
+
+impl Axis {
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        // The ends of a decimal grid miss each other by some bits: 0.1 + 5 · 0.58 is not 3.
+        ((self.max - self.min) / self.step + 1e-6).floor() as usize + 1
+    }
+
+    /// Never: an axis holds at least its first value.
+    pub fn is_empty(&self) -> bool {
+        false
+    }
+
+    /// The value at `index`; the last one is `max` itself where the steps meet it up to rounding.
+    pub fn value(&self, index: usize) -> f64 {
+        let value = self.min + self.step * index as f64;
+        if (value - self.max).abs() < 1e-6 * self.step { self.max } else { value }
+    }
+}
+
+impl Grid {
+    /// The axes in the order of the gains (Kv, Kl, Ks, Ki).
+    pub fn axes(&self) -> [Axis; 4] {
+        [self.kv, self.kl, self.ks, self.ki]
+    }
+
+    /// Number of gain sets.
+    pub fn len(&self) -> usize {
+        self.axes().iter().map(Axis::len).product()
+    }
+
+    /// Never: each axis holds at least one value.
+    pub fn is_empty(&self) -> bool {
+        false
+    }
+
+    /// The gains at one position along each axis.
+    pub fn gains(&self, position: GridPosition) -> Gains {
+        let axes = self.axes();
+        Gains::from_array(std::array::from_fn(|axis| axes[axis].value(position.0[axis] as usize)))
+    }
+
+    /// The position with number `index`, the last gain running fastest.
+    pub fn position(&self, index: usize) -> GridPosition {
+        let mut rest = index;
+        let mut position = [0; 4];
+        for (axis, place) in self.axes().iter().zip(&mut position).rev() {
+            *place = (rest % axis.len()) as u16;
+            rest /= axis.len();
+        }
+        GridPosition(position)
+    }
+
+    /// The number of a position; the inverse of [`Grid::position`].
+    pub fn index(&self, position: GridPosition) -> usize {
+        self.axes()
+            .iter()
+            .zip(position.0)
+            .fold(0, |index, (axis, place)| index * axis.len() + place as usize)
+    }
+
+    /// Every position, in the order of their numbers.
+    pub fn positions(&self) -> impl Iterator<Item = GridPosition> {
+        let grid = *self;
+        (0..grid.len()).map(move |index| grid.position(index))
+    }
+
+    /// The position of `gains`, if the grid holds them (up to a millionth of a step).
+    pub fn find(&self, gains: Gains) -> Option<GridPosition> {
+        let mut position = [0; 4];
+        for ((axis, gain), place) in self.axes().iter().zip(gains.to_array()).zip(&mut position) {
+            let steps = ((gain - axis.min) / axis.step).round();
+            if !(0.0..axis.len() as f64).contains(&steps) {
+                return None;
+            }
+            if (axis.value(steps as usize) - gain).abs() > 1e-6 * axis.step {
+                return None;
+            }
+            *place = steps as u16;
+        }
+        Some(GridPosition(position))
+    }
+
+    /// Names of the gains that lie on a bound of an axis with more than one value.
+    pub fn on_bound(&self, position: GridPosition) -> Vec<&'static str> {
+        let axes = self.axes();
+        (0..4)
+            .filter(|&axis| {
+                let place = position.0[axis] as usize;
+                axes[axis].len() > 1 && (place == 0 || place + 1 == axes[axis].len())
+            })
+            .map(|axis| Gains::NAMES[axis])
+            .collect()
+    }
+}
+
+/// A gain set of the grid, as its position along each axis (Kv, Kl, Ks, Ki).
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
+)]
+#[serde(transparent)]
+pub struct GridPosition(pub [u16; 4]);
+
+/// Which learner tunes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Tuner {
+    /// The paper's: locks gains that the terminal sets agree on.
+    EducatedQ,
+    /// Plain Q-learning.
+    Q,
+}
+
+choice!(
+    /// Gains at the start of an episode.
+    EpisodeGains {
+        /// Those of the last episode's end.
+        CarryOver,
+        /// Uniform from the grid.
+        Random,
+    }
+);
+choice!(
+    /// An action that leaves the grid.
+    OutOfRange {
+        /// Goes to the bound.
+        Clamp,
+        /// Leaves all gains as they were.
+        Stay,
+    }
+);
+choice!(
+    /// Over what the closest state is kept.
+    ClosestOver {
+        /// The whole training.
+        Training,
+        /// One episode.
+        Episode,
+    }
+);
+choice!(
+    /// How the closest state is compared.
+    ClosestBy {
+        /// By the distance of the mean errors.
+        Continuous,
+        /// By the distance of the state's bins.
+        Binned,
+    }
+);
+choice!(
+    /// What the step limit does to an episode.
+    StepLimitEffect {
+        /// Ends it, and bootstraps through the end.
+        Truncates,
+        /// Ends it with a state of value 0.
+        Terminates,
+    }
+);
+choice!(
+    /// Which gains a learner picks.
+    Pick {
+        /// Its last terminal set.
+        LastTerminal,
+        /// The set it visited most often.
+        MostVisited,
+    }
+);
+choice!(
+    /// First gains of a learner.
+    FirstGains {
+        /// Uniform from the grid.
+        Random,
+        /// The middle of each axis.
+        Centre,
+    }
+);
+choice!(
+    /// Choice among equal greedy actions.
+    GreedyTies {
+        /// Uniform.
+        Random,
+        /// The first.
+        First,
+    }
+);
+
+/// The learners.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Learning {
+    pub tuner: Tuner,
+    pub episodes: u32,
+    pub step_limit: u32,
+    pub gamma: f64,
+    pub epsilon_start: f64,
+    pub epsilon_decay_share: f64,
+    pub bins: u32,
+    pub error_high_cross_m: f64,
+    pub error_high_heading_rad: f64,
+    pub heading_weight: f64,
+    pub episode_gains: EpisodeGains,
+    pub out_of_range: OutOfRange,
+    pub closest_over: ClosestOver,
+    pub closest_by: ClosestBy,
+    pub lock_window: u32,
+    pub step_limit_effect: StepLimitEffect,
+    pub pick: Pick,
+    pub first_gains: FirstGains,
+    pub greedy_ties: GreedyTies,
+}
+
+/// What differs from run to run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Run {
+    pub seed: u64,
+    pub alphas: Vec<f64>,
+    pub fleet: u32,
+    pub memo: bool,
+}
+
+choice!(
+    /// The vehicle model.
+    VehicleModel {
+        /// Kinematic single track.
+        Kinematic,
+    }
+);
+
+/// The vehicle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in vehicles/tesla_model_3.toml")]
+pub struct Vehicle {
+    pub name: String,
+    pub model: VehicleModel,
+    pub wheelbase_m: f64,
+    pub tracked_point_m: f64,
+    pub body_front_m: f64,
+    pub body_rear_m: f64,
+    pub body_half_width_m: f64,
+    pub steering_limit_rad: f64,
+    pub steering_rate_radps: f64,
+    pub speed_limit_mps: f64,
+    pub speed_kp: f64,
+    pub speed_ki: f64,
+    pub speed_integral_min: f64,
+    pub speed_integral_max: f64,
+    pub pedal_lag_s: f64,
+    pub throttle_accel_mps2: f64,
+    pub brake_decel_mps2: f64,
+    pub drag_per_s: f64,
+    pub rolling_decel_mps2: f64,
+    pub gear_engaged: bool,
+    pub gear_drive_s: f64,
+    pub gear_reverse_s: f64,
+    pub gear_poll_s: f64,
+    pub gear_speed_mps: f64,
+}

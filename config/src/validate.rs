@@ -1,0 +1,191 @@
+//! Ranges, and what must fit together.
+
+use crate::{Advance, Axis, Piece, RunConfig};
+
+/// The largest fleet that one message carries.
+pub(crate) const MAX_FLEET: u32 = 256;
+/// The largest grid: the exhaustive ranking visits every set.
+const MAX_GRID: usize = 100_000;
+/// The longest drive, in ticks.
+const MAX_TICKS: f64 = 1e6;
+
+type Problem = (String, String);
+
+/// Finds the first value that is out of range, as (dotted key, problem).
+pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
+    let c = config;
+    above("reference.speed_mps", c.reference.speed_mps, 0.0, 50.0)?;
+    within("reference.ramp_s", c.reference.ramp_s, 0.0, 60.0)?;
+    if c.reference.advance == Advance::Projection {
+        above("reference.lookahead_m", c.reference.lookahead_m, 0.0, 100.0)?;
+    }
+    above("drive.loop_time_s", c.drive.loop_time_s, 0.0, 3600.0)?;
+    within("drive.tick_s", c.drive.tick_s, 0.001, 0.1)?;
+    if c.ticks() < 1 || c.drive.loop_time_s / c.drive.tick_s > MAX_TICKS {
+        let problem = format!("holds {} ticks, and must hold 1 to {MAX_TICKS}", c.ticks());
+        return Err(("drive.loop_time_s".to_owned(), problem));
+    }
+    within("drive.goal_radius_m", c.drive.goal_radius_m, 0.0, 100.0)?;
+    above("controller.steering_limit_rad", c.controller.steering_limit_rad, 0.0, 1.5)?;
+    above("supervisor.speed_limit_mps", c.supervisor.speed_limit_mps, 0.0, 100.0)?;
+    within("supervisor.zone_hysteresis_m", c.supervisor.zone_hysteresis_m, 0.0, 10.0)?;
+    within("noise.position_sd_m", c.noise.position_sd_m, 0.0, 10.0)?;
+    within("noise.heading_half_width_rad", c.noise.heading_half_width_rad, 0.0, 1.0)?;
+    above("collision.lane_half_width_m", c.collision.lane_half_width_m, 0.0, 100.0)?;
+    within("collision.penalty", c.collision.penalty, 0.0, 100.0)?;
+    path(c)?;
+    grid(c)?;
+    learning(c)?;
+    run(c)?;
+    vehicle(c)
+}
+
+fn path(config: &RunConfig) -> Result<(), Problem> {
+    let path = &config.path;
+    for (key, value) in [
+        ("path.start.x_m", path.start.x_m),
+        ("path.start.y_m", path.start.y_m),
+        ("path.start.yaw_rad", path.start.yaw_rad),
+    ] {
+        within(key, value, -1e6, 1e6)?;
+    }
+    if path.pieces.is_empty() {
+        return Err(("path.pieces".to_owned(), "is empty; a path needs a piece".to_owned()));
+    }
+    for (index, piece) in path.pieces.iter().enumerate() {
+        let key = |field: &str| format!("path.pieces[{index}].{field}");
+        match *piece {
+            Piece::Straight { length_m } => above(&key("length_m"), length_m, 0.0, 1e5)?,
+            Piece::Diagonal { length_m, offset_m } => {
+                above(&key("length_m"), length_m, 0.0, 1e5)?;
+                within(&key("offset_m"), offset_m, -1e5, 1e5)?;
+            }
+            Piece::Arc { radius_m, angle_deg } => {
+                above(&key("radius_m"), radius_m, 0.0, 1e5)?;
+                within(&key("angle_deg"), angle_deg, -3600.0, 3600.0)?;
+                if angle_deg == 0.0 {
+                    return Err((key("angle_deg"), "is 0; use a straight piece".to_owned()));
+                }
+            }
+        }
+    }
+    let mut last = -1.0;
+    for (index, zone) in path.zones.iter().enumerate() {
+        let key = format!("path.zones[{index}].from_m");
+        within(&key, zone.from_m, 0.0, 1e6)?;
+        if index == 0 && zone.from_m != 0.0 {
+            return Err((key, "is not 0; the first zone begins where the path does".to_owned()));
+        }
+        if zone.from_m <= last {
+            return Err((key, "lies before the zone above; order them along the path".to_owned()));
+        }
+        last = zone.from_m;
+    }
+    if path.zones.is_empty() {
+        return Err(("path.zones".to_owned(), "is empty; name at least one zone".to_owned()));
+    }
+    Ok(())
+}
+
+fn grid(config: &RunConfig) -> Result<(), Problem> {
+    let grid = &config.grid;
+    for (name, axis) in ["kv", "kl", "ks", "ki"].into_iter().zip(grid.axes()) {
+        let Axis { min, max, step } = axis;
+        let key = format!("grid.{name}");
+        within(&format!("{key}.min"), min, 0.0, 1e6)?;
+        within(&format!("{key}.max"), max, 0.0, 1e6)?;
+        above(&format!("{key}.step"), step, 0.0, 1e6)?;
+        if max < min {
+            return Err((key, format!("is reversed: min {min} lies above max {max}")));
+        }
+        if (max - min) / step > 1e4 {
+            return Err((key, "holds more than 10000 values; take a larger step".to_owned()));
+        }
+        if name == "ki" && max > 1.0 {
+            let problem = "lies above 1, where the law's filter is unstable".to_owned();
+            return Err((format!("{key}.max"), problem));
+        }
+    }
+    let sets = grid.axes().iter().map(|axis| axis.len() as f64).product::<f64>();
+    if sets > MAX_GRID as f64 {
+        let problem = format!("holds {sets} sets, and may hold {MAX_GRID}; take larger steps");
+        return Err(("grid".to_owned(), problem));
+    }
+    Ok(())
+}
+
+fn learning(config: &RunConfig) -> Result<(), Problem> {
+    let l = &config.learning;
+    whole("learning.episodes", l.episodes.into(), 1, 100_000)?;
+    whole("learning.step_limit", l.step_limit.into(), 1, 100_000)?;
+    within("learning.gamma", l.gamma, 0.0, 1.0)?;
+    within("learning.epsilon_start", l.epsilon_start, 0.0, 1.0)?;
+    above("learning.epsilon_decay_share", l.epsilon_decay_share, 0.0, 1.0)?;
+    whole("learning.bins", l.bins.into(), 2, 1000)?;
+    above("learning.error_high_cross_m", l.error_high_cross_m, 0.0, 100.0)?;
+    above("learning.error_high_heading_rad", l.error_high_heading_rad, 0.0, 3.2)?;
+    within("learning.heading_weight", l.heading_weight, 0.0, 1000.0)?;
+    whole("learning.lock_window", l.lock_window.into(), 2, 1000)
+}
+
+fn run(config: &RunConfig) -> Result<(), Problem> {
+    let run = &config.run;
+    if run.alphas.is_empty() {
+        return Err(("run.alphas".to_owned(), "is empty; name at least one".to_owned()));
+    }
+    whole("run.alphas", run.alphas.len() as u64, 1, MAX_FLEET.into()).map_err(|(key, _)| {
+        (key, format!("holds {} values, and may hold {MAX_FLEET}", run.alphas.len()))
+    })?;
+    for (index, &alpha) in run.alphas.iter().enumerate() {
+        above(&format!("run.alphas[{index}]"), alpha, 0.0, 1.0)?;
+    }
+    whole("run.fleet", run.fleet.into(), 0, MAX_FLEET.into())
+}
+
+fn vehicle(config: &RunConfig) -> Result<(), Problem> {
+    let v = &config.vehicle;
+    above("vehicle.wheelbase_m", v.wheelbase_m, 0.0, 20.0)?;
+    within("vehicle.tracked_point_m", v.tracked_point_m, -20.0, 20.0)?;
+    above("vehicle.body_front_m", v.body_front_m, 0.0, 20.0)?;
+    above("vehicle.body_rear_m", v.body_rear_m, 0.0, 20.0)?;
+    above("vehicle.body_half_width_m", v.body_half_width_m, 0.0, 20.0)?;
+    above("vehicle.steering_limit_rad", v.steering_limit_rad, 0.0, 1.5)?;
+    above("vehicle.steering_rate_radps", v.steering_rate_radps, 0.0, 100.0)?;
+    above("vehicle.speed_limit_mps", v.speed_limit_mps, 0.0, 100.0)?;
+    within("vehicle.speed_kp", v.speed_kp, 0.0, 100.0)?;
+    within("vehicle.speed_ki", v.speed_ki, 0.0, 100.0)?;
+    within("vehicle.speed_integral_min", v.speed_integral_min, -10.0, 10.0)?;
+    within("vehicle.speed_integral_max", v.speed_integral_max, v.speed_integral_min, 10.0)?;
+    above("vehicle.pedal_lag_s", v.pedal_lag_s, 0.0, 10.0)?;
+    above("vehicle.throttle_accel_mps2", v.throttle_accel_mps2, 0.0, 100.0)?;
+    above("vehicle.brake_decel_mps2", v.brake_decel_mps2, 0.0, 100.0)?;
+    within("vehicle.drag_per_s", v.drag_per_s, 0.0, 100.0)?;
+    within("vehicle.rolling_decel_mps2", v.rolling_decel_mps2, 0.0, 100.0)?;
+    within("vehicle.gear_drive_s", v.gear_drive_s, 0.0, 60.0)?;
+    within("vehicle.gear_reverse_s", v.gear_reverse_s, 0.0, 60.0)?;
+    above("vehicle.gear_poll_s", v.gear_poll_s, 0.0, 60.0)?;
+    above("vehicle.gear_speed_mps", v.gear_speed_mps, 0.0, 10.0)
+}
+
+/// `low <= value <= high`; NaN is never within.
+fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), Problem> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err((key.to_owned(), format!("is {value}, and must lie in [{low}, {high}]")))
+}
+
+/// `low < value <= high`; NaN is never within.
+fn above(key: &str, value: f64, low: f64, high: f64) -> Result<(), Problem> {
+    if value > low && value <= high {
+        return Ok(());
+    }
+    Err((key.to_owned(), format!("is {value}, and must lie in ({low}, {high}]")))
+}
+
+fn whole(key: &str, value: u64, low: u64, high: u64) -> Result<(), Problem> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err((key.to_owned(), format!("is {value}, and must lie in [{low}, {high}]")))
+}

@@ -1,0 +1,92 @@
+//! The whole loop as one pure function: vehicle, controller and gate, called in turn.
+//!
+//! It is the oracle (the pipeline must equal it bit for bit), the lower bound of the benchmarks, and the
+//! engine of the exhaustive grid. It calls the same cores as the processes do, in the order of one tick.
+
+use config::{Gains, RunConfig};
+use controller::{Decision, DriveController, Ended, Seen};
+use simulator::{Observation, SimulatedVehicle};
+use supervisor::{Gate, Passed};
+
+/// Everything that happened in one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TickRecord {
+    /// What the vehicle reported.
+    pub observation: Observation,
+    /// What the controller made of it.
+    pub decision: Decision,
+    /// What the gate passed.
+    pub passed: Passed,
+}
+
+/// Vehicle, controller and gate of one configuration, to be driven again and again.
+#[derive(Debug, Clone)]
+pub struct Rollout {
+    vehicle: SimulatedVehicle,
+    controller: DriveController,
+    gate: Gate,
+    start: tracking::Pose,
+    ticks: u64,
+}
+
+impl Rollout {
+    /// The loop of a configuration.
+    pub fn new(config: &RunConfig) -> Self {
+        Self {
+            vehicle: SimulatedVehicle::new(config),
+            controller: DriveController::new(config),
+            gate: Gate::new(config),
+            start: config.path.start.into(),
+            ticks: config.ticks(),
+        }
+    }
+
+    /// One drive from the start with these gains; with noise if there is a seed for it.
+    pub fn drive(&mut self, gains: Gains, noise_seed: Option<u64>) -> Ended {
+        self.drive_with(gains, noise_seed, |_, _| {})
+    }
+
+    /// As [`Rollout::drive`], showing each tick to `each`.
+    pub fn drive_with(
+        &mut self,
+        gains: Gains,
+        noise_seed: Option<u64>,
+        mut each: impl FnMut(u64, &TickRecord),
+    ) -> Ended {
+        self.vehicle.reset(self.start, noise_seed);
+        self.controller.reset(gains, self.ticks);
+        let mut tick = 0;
+        loop {
+            let observation = self.vehicle.observe();
+            let decision = self.controller.tick(
+                tick,
+                Seen {
+                    measured: observation.measured,
+                    truth: Some(observation.truth),
+                    collision: observation.collision,
+                },
+            );
+            let raw = decision.command;
+            let passed = self.gate.pass(raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
+            each(tick, &TickRecord { observation, decision, passed });
+            if let Some(ended) = decision.ended {
+                return ended;
+            }
+            self.vehicle.step(passed.speed_mps, passed.steering_rad);
+            tick += 1;
+        }
+    }
+}
+
+/// One drive with these gains; with noise if there is a seed for it.
+///
+/// # Examples
+/// ```
+/// let config = config::Layers::maneuver("lane_change")?.resolve()?;
+/// let ended = rollout::rollout(&config, config.paper_gains, None);
+/// assert!(ended.metrics.mse_m2() < 2.0);
+/// # Ok::<(), config::ConfigError>(())
+/// ```
+pub fn rollout(config: &RunConfig, gains: Gains, noise_seed: Option<u64>) -> Ended {
+    Rollout::new(config).drive(gains, noise_seed)
+}

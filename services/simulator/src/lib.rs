@@ -1,0 +1,9 @@
+//! The simulated vehicle: a single track with a car's actuators, and the process that publishes it.
+//!
+//! [`vehicle`] is pure; [`service`] joins it to the pipeline.
+
+mod noise;
+pub mod service;
+mod vehicle;
+
+pub use vehicle::{Observation, SimulatedVehicle};

@@ -1,0 +1,352 @@
+//! The vehicle model: kinematic single track, speed PI to throttle and brake, lags, gear selector, steering rate.
+//!
+//! Pure: the seed is an argument, one call of [`SimulatedVehicle::step`] is one tick. The state lives at
+//! the rear axle; what is reported is the tracked point, `tracked_point_m` ahead of it.
+
+use config::{Collision, Noise, RunConfig, Vehicle};
+use tracking::{Path, Pose};
+
+use crate::noise::PoseNoise;
+
+/// What the vehicle's sensors tell at one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// Pose of the tracked point as measured, in the map frame.
+    pub measured: Pose,
+    /// Pose of the tracked point in truth, in the map frame.
+    pub truth: Pose,
+    /// Forward speed of the rear axle.
+    pub speed_mps: f64,
+    /// Yaw rate.
+    pub yaw_rate_radps: f64,
+    /// Angle of the road wheels, positive to the left.
+    pub steering_rad: f64,
+    /// Whether the body touches a lane edge.
+    pub collision: bool,
+}
+
+/// One simulated vehicle.
+#[derive(Debug, Clone)]
+pub struct SimulatedVehicle {
+    vehicle: Vehicle,
+    noise_settings: Noise,
+    tick_s: f64,
+    /// Share of a step that a pedal makes in one tick.
+    pedal_share: f64,
+    lane: Option<Lane>,
+    noise: Option<PoseNoise>,
+    gear: GearSelector,
+
+    rear_axle: Pose,
+    speed_mps: f64,
+    yaw_rate_radps: f64,
+    steering_rad: f64,
+    /// ki times the integral of the speed's error.
+    integral: f64,
+    throttle: f64,
+    brake: f64,
+}
+
+impl SimulatedVehicle {
+    /// A vehicle of the configured kind at the start of the configured path.
+    pub fn new(config: &RunConfig) -> Self {
+        let vehicle = config.vehicle.clone();
+        let tick_s = config.drive.tick_s;
+        let mut new = Self {
+            noise_settings: config.noise,
+            tick_s,
+            pedal_share: 1.0 - libm::exp(-tick_s / vehicle.pedal_lag_s),
+            lane: Lane::new(config),
+            noise: None,
+            gear: GearSelector::new(&vehicle, tick_s),
+            rear_axle: Pose::default(),
+            speed_mps: 0.0,
+            yaw_rate_radps: 0.0,
+            steering_rad: 0.0,
+            integral: 0.0,
+            throttle: 0.0,
+            brake: 0.0,
+            vehicle,
+        };
+        new.reset(config.path.start.into(), None);
+        new
+    }
+
+    /// Puts the tracked point at `start`, at rest, and starts the noise afresh from its seed, if there is any.
+    pub fn reset(&mut self, start: Pose, noise_seed: Option<u64>) {
+        let back = start.ahead(-self.vehicle.tracked_point_m);
+        self.rear_axle = Pose { x_m: back.x, y_m: back.y, yaw_rad: start.yaw_rad };
+        self.noise = noise_seed.map(|seed| PoseNoise::new(self.noise_settings, seed));
+        self.gear = GearSelector::new(&self.vehicle, self.tick_s);
+        self.speed_mps = 0.0;
+        self.yaw_rate_radps = 0.0;
+        self.steering_rad = 0.0;
+        self.integral = 0.0;
+        self.throttle = 0.0;
+        self.brake = 0.0;
+        if let Some(lane) = &mut self.lane {
+            lane.along_m = 0.0;
+        }
+    }
+
+    /// What the sensors tell now. Draws noise: call it once a tick.
+    pub fn observe(&mut self) -> Observation {
+        let at = self.rear_axle.ahead(self.vehicle.tracked_point_m);
+        let truth = Pose { x_m: at.x, y_m: at.y, yaw_rad: self.rear_axle.yaw_rad };
+        let measured = self.noise.as_mut().map_or(truth, |noise| noise.disturb(truth));
+        let collision =
+            self.lane.as_mut().is_some_and(|lane| lane.is_left(&self.vehicle, self.rear_axle));
+        Observation {
+            measured,
+            truth,
+            speed_mps: self.speed_mps,
+            yaw_rate_radps: self.yaw_rate_radps,
+            steering_rad: self.steering_rad,
+            collision,
+        }
+    }
+
+    /// Drives one tick with a command: forward speed, and steering angle of the road wheels.
+    pub fn step(&mut self, speed_mps: f64, steering_rad: f64) {
+        let vehicle = &self.vehicle;
+        let tick_s = self.tick_s;
+        let speed_command = speed_mps.min(vehicle.speed_limit_mps);
+        self.gear.update(speed_command, self.speed_mps);
+
+        let error = speed_command - self.speed_mps;
+        self.integral = (self.integral + vehicle.speed_ki * error * tick_s)
+            .clamp(vehicle.speed_integral_min, vehicle.speed_integral_max);
+        let mut pedals = (vehicle.speed_kp * error + self.integral).clamp(-1.0, 1.0);
+        if speed_command < 0.0 {
+            pedals = pedals.min(0.0);
+        }
+        self.throttle += self.pedal_share * (pedals.max(0.0) - self.throttle);
+        self.brake += self.pedal_share * ((-pedals).max(0.0) - self.brake);
+
+        let mut accel_mps2 =
+            -vehicle.drag_per_s * self.speed_mps - vehicle.brake_decel_mps2 * self.brake;
+        if self.gear.engaged {
+            accel_mps2 += vehicle.throttle_accel_mps2 * self.throttle;
+        }
+        // Rolling resistance and brake hold a standing car; they do not push it backwards.
+        self.speed_mps =
+            (self.speed_mps + (accel_mps2 - vehicle.rolling_decel_mps2) * tick_s).max(0.0);
+
+        let limit_rad = vehicle.steering_limit_rad;
+        let reach_rad = vehicle.steering_rate_radps * tick_s;
+        let wanted_rad = steering_rad.clamp(-limit_rad, limit_rad);
+        self.steering_rad += (wanted_rad - self.steering_rad).clamp(-reach_rad, reach_rad);
+
+        self.yaw_rate_radps = self.speed_mps * libm::tan(self.steering_rad) / vehicle.wheelbase_m;
+        let turned_rad = self.yaw_rate_radps * tick_s;
+        // The heading in the middle of the tick: exact to second order.
+        let middle_rad = self.rear_axle.yaw_rad + turned_rad / 2.0;
+        self.rear_axle.x_m += self.speed_mps * tick_s * libm::cos(middle_rad);
+        self.rear_axle.y_m += self.speed_mps * tick_s * libm::sin(middle_rad);
+        self.rear_axle.yaw_rad += turned_rad;
+    }
+}
+
+/// The gear selector: drive engages some time after a positive command, later if a negative one put it
+/// into reverse before. It acts until drive has engaged once.
+#[derive(Debug, Clone)]
+struct GearSelector {
+    engaged: bool,
+    in_reverse: bool,
+    /// Ticks until drive engages, once it was asked for.
+    wait_ticks: Option<u64>,
+    tick: u64,
+    poll_ticks: u64,
+    drive_ticks: u64,
+    reverse_ticks: u64,
+    standing_mps: f64,
+}
+
+impl GearSelector {
+    fn new(vehicle: &Vehicle, tick_s: f64) -> Self {
+        let ticks = |time_s: f64| (time_s / tick_s).round() as u64;
+        Self {
+            engaged: vehicle.gear_engaged,
+            in_reverse: false,
+            wait_ticks: None,
+            tick: 0,
+            poll_ticks: ticks(vehicle.gear_poll_s).max(1),
+            drive_ticks: ticks(vehicle.gear_drive_s),
+            reverse_ticks: ticks(vehicle.gear_reverse_s),
+            standing_mps: vehicle.gear_speed_mps,
+        }
+    }
+
+    fn update(&mut self, speed_command_mps: f64, speed_mps: f64) {
+        if self.engaged {
+            return;
+        }
+        let polls = self.tick.is_multiple_of(self.poll_ticks);
+        self.tick += 1;
+        if let Some(ticks) = &mut self.wait_ticks {
+            *ticks = ticks.saturating_sub(1);
+        }
+        if self.wait_ticks == Some(0) {
+            self.engaged = true;
+            return;
+        }
+        if !polls || speed_mps.abs() >= self.standing_mps {
+            return;
+        }
+        if speed_command_mps < 0.0 {
+            self.in_reverse = true;
+            self.wait_ticks = None;
+        } else if speed_command_mps > 0.0 && self.wait_ticks.is_none() {
+            let ticks = if self.in_reverse { self.reverse_ticks } else { self.drive_ticks };
+            self.wait_ticks = Some(ticks);
+        }
+    }
+}
+
+/// The lane's edges, on both sides of the path.
+#[derive(Debug, Clone)]
+struct Lane {
+    path: Path,
+    half_width_m: f64,
+    along_m: f64,
+}
+
+impl Lane {
+    const WINDOW_M: f64 = 3.0;
+
+    fn new(config: &RunConfig) -> Option<Self> {
+        let Collision { enabled, lane_half_width_m, .. } = config.collision;
+        enabled.then(|| Self {
+            path: Path::new(&config.path),
+            half_width_m: lane_half_width_m,
+            along_m: 0.0,
+        })
+    }
+
+    /// Whether a corner of the body lies outside the lane.
+    fn is_left(&mut self, vehicle: &Vehicle, rear_axle: Pose) -> bool {
+        let near =
+            self.path.project(rear_axle.x_m, rear_axle.y_m, self.along_m, Self::WINDOW_M);
+        self.along_m = near.along_m;
+        let reach_m = vehicle.body_front_m + vehicle.body_rear_m + Self::WINDOW_M;
+        let half_width_m = vehicle.body_half_width_m;
+        [
+            (vehicle.body_front_m, half_width_m),
+            (vehicle.body_front_m, -half_width_m),
+            (-vehicle.body_rear_m, half_width_m),
+            (-vehicle.body_rear_m, -half_width_m),
+        ]
+        .into_iter()
+        .any(|(ahead_m, left_m)| {
+            let corner = rear_axle.position()
+                + rear_axle.rotation() * nalgebra::Vector2::new(ahead_m, left_m);
+            let point = self.path.project(corner.x, corner.y, self.along_m, reach_m);
+            let (dx, dy) = (corner.x - point.pose.x_m, corner.y - point.pose.y_m);
+            // Beyond the path's ends there is no edge: only the sideways distance counts.
+            let at_end = point.along_m <= 0.0 || point.along_m >= self.path.length_m();
+            let apart_m = if at_end { point.offset_m.abs() } else { libm::hypot(dx, dy) };
+            apart_m > self.half_width_m
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use config::Layers;
+    use proptest::prelude::*;
+
+    fn vehicle(sets: &[&str]) -> SimulatedVehicle {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        for set in sets {
+            layers.set(set).unwrap();
+        }
+        SimulatedVehicle::new(&layers.resolve().unwrap())
+    }
+
+    fn first_move(mut vehicle: SimulatedVehicle, command: impl Fn(u64) -> f64) -> Option<u64> {
+        (0..2000).find(|&tick| {
+            vehicle.step(command(tick), 0.0);
+            vehicle.observe().speed_mps > 0.0
+        })
+    }
+
+    #[test]
+    fn drive_engages_after_the_selector_s_delay() {
+        assert_eq!(first_move(vehicle(&[]), |_| 2.0), Some(200));
+        assert_eq!(first_move(vehicle(&["vehicle.gear_engaged=true"]), |_| 2.0), Some(0));
+        // A negative command on a poll selects reverse; drive then takes 4 s from the next poll.
+        let reversed = first_move(vehicle(&[]), |tick| if tick == 50 { -0.1 } else { 2.0 });
+        assert_eq!(reversed, Some(460));
+        assert_eq!(first_move(vehicle(&[]), |tick| if tick == 55 { -0.1 } else { 2.0 }), Some(200));
+        assert_eq!(first_move(vehicle(&[]), |_| 0.0), None);
+    }
+
+    #[test]
+    fn a_reset_drive_repeats_bit_for_bit() {
+        let mut vehicle = vehicle(&["noise.enabled=true"]);
+        let mut drive = |seed| {
+            vehicle.reset(Pose::default(), Some(seed));
+            (0..600)
+                .map(|tick| {
+                    let seen = vehicle.observe();
+                    vehicle.step(1.5, 0.2 * f64::from(tick % 7));
+                    [seen.measured.x_m.to_bits(), seen.truth.yaw_rad.to_bits()]
+                })
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(drive(3), drive(3));
+        assert_ne!(drive(3), drive(4));
+    }
+
+    #[test]
+    fn steering_left_turns_left() {
+        let mut vehicle = vehicle(&["vehicle.gear_engaged=true"]);
+        for _ in 0..300 {
+            vehicle.step(2.0, 0.3);
+        }
+        let seen = vehicle.observe();
+        assert!(seen.yaw_rate_radps > 0.0 && seen.truth.yaw_rad > 0.0 && seen.truth.y_m > 0.0);
+    }
+
+    #[test]
+    fn the_steady_circle_has_the_single_track_s_radius() {
+        let mut vehicle = vehicle(&["vehicle.gear_engaged=true"]);
+        for _ in 0..5000 {
+            vehicle.step(2.0, 0.3);
+        }
+        let seen = vehicle.observe();
+        let radius_m = seen.speed_mps / seen.yaw_rate_radps;
+        assert!((radius_m - 2.875 / 0.3f64.tan()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_body_touches_the_edge_where_it_is_wide_enough() {
+        let straight = "path.pieces=[{kind='straight',length_m=50.0}]";
+        let mut vehicle = vehicle(&["collision.enabled=true", straight]);
+        assert!(!vehicle.observe().collision);
+        vehicle.reset(Pose { y_m: 0.82, ..Pose::default() }, None);
+        assert!(!vehicle.observe().collision);
+        vehicle.reset(Pose { y_m: 0.84, ..Pose::default() }, None);
+        assert!(vehicle.observe().collision);
+    }
+
+    proptest! {
+        #[test]
+        fn the_state_stays_finite_and_within_limits(
+            commands in prop::collection::vec((-20.0..20.0f64, -2.0..2.0f64), 1..400),
+        ) {
+            let mut vehicle = vehicle(&["vehicle.gear_engaged=true"]);
+            let mut steering = 0.0;
+            for (speed, angle) in commands {
+                vehicle.step(speed, angle);
+                let seen = vehicle.observe();
+                prop_assert!(seen.truth.is_finite());
+                prop_assert!((0.0..=9.0 + 1e-9).contains(&seen.speed_mps));
+                prop_assert!((seen.steering_rad - steering).abs() <= 0.6 * 0.01 + 1e-12);
+                prop_assert!(seen.steering_rad.abs() <= vehicle.vehicle.steering_limit_rad);
+                steering = seen.steering_rad;
+            }
+        }
+    }
+}

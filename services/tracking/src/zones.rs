@@ -1,0 +1,81 @@
+//! Which zone of the path the vehicle is in.
+
+use config::{RunConfig, ZoneBy};
+
+use crate::{Path, Pose};
+
+/// Follows a vehicle through the zones of its path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ZoneTracker {
+    path: Path,
+    /// Where each zone begins, along the path; the first at 0.
+    from_m: Vec<f64>,
+    by: ZoneBy,
+    hysteresis_m: f64,
+    along_m: f64,
+    zone: usize,
+}
+
+impl ZoneTracker {
+    /// How far from the last projection the next one is looked for: many ticks of any speed, and less
+    /// than paths usually take to come back to themselves.
+    const WINDOW_M: f64 = 3.0;
+
+    /// A tracker at the start of the path.
+    pub fn new(config: &RunConfig) -> Self {
+        Self {
+            path: Path::new(&config.path),
+            from_m: config.path.zones.iter().map(|zone| zone.from_m).collect(),
+            by: config.supervisor.zone_by,
+            hysteresis_m: config.supervisor.zone_hysteresis_m,
+            along_m: 0.0,
+            zone: 0,
+        }
+    }
+
+    /// Back to the start of the path.
+    pub fn reset(&mut self) {
+        self.along_m = 0.0;
+        self.zone = 0;
+    }
+
+    /// The zone with the pose that was measured now, and the reference's progress.
+    pub fn update(&mut self, measured: Pose, reference_along_m: f64) -> usize {
+        if self.from_m.len() == 1 {
+            return 0;
+        }
+        self.along_m = match self.by {
+            ZoneBy::Measured => {
+                self.path.project(measured.x_m, measured.y_m, self.along_m, Self::WINDOW_M).along_m
+            }
+            ZoneBy::Reference => reference_along_m,
+        };
+        // Forwards at the border itself, backwards only when it lies the hysteresis behind.
+        while self.from_m.get(self.zone + 1).is_some_and(|from_m| self.along_m >= *from_m) {
+            self.zone += 1;
+        }
+        while self.along_m < self.from_m[self.zone] - self.hysteresis_m {
+            self.zone -= 1;
+        }
+        self.zone
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use config::Layers;
+
+    #[test]
+    fn a_zone_begins_at_its_border_and_is_left_behind_the_hysteresis() {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers
+            .set("path.zones=[{name='a',from_m=0.0},{name='b',from_m=1.0},{name='c',from_m=1.5}]")
+            .unwrap();
+        layers.set("path.pieces=[{kind='straight',length_m=9.0}]").unwrap();
+        let mut zones = ZoneTracker::new(&layers.resolve().unwrap());
+        let mut at = |x_m: f64| zones.update(Pose { x_m, ..Pose::default() }, 0.0);
+        assert_eq!([at(0.0), at(0.99), at(1.0), at(0.51), at(0.49)], [0, 0, 1, 1, 0]);
+        assert_eq!([at(2.0), at(1.1), at(0.9), at(0.1)], [2, 2, 1, 0]);
+    }
+}
