@@ -3,6 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::{ConfigError, validate};
+
 /// Everything that decides what a run computes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -38,6 +40,18 @@ pub struct RunConfig {
 }
 
 impl RunConfig {
+    /// Parses what the orchestrator resolved and wrote for the processes of a run.
+    ///
+    /// # Errors
+    /// If the text is not a whole and valid configuration.
+    pub fn from_resolved(text: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text)
+            .map_err(|error| ConfigError::new("config.toml", "", error.message().to_owned()))?;
+        validate::validate(&config)
+            .map_err(|(key, problem)| ConfigError::new("config.toml", key, problem))?;
+        Ok(config)
+    }
+
     /// Ticks of a full drive.
     pub fn ticks(&self) -> u64 {
         (self.drive.loop_time_s / self.drive.tick_s).round() as u64

@@ -1,1 +1,17 @@
-//! todo
+//! The wire vocabulary: what the processes of a pipeline say to each other.
+//!
+//! Messages are plain C structs in shared memory, read and written in place. `CONTRACT.md` beside this
+//! crate says who sends which, when, and what it means; [`topics`] holds all topics in one table.
+//!
+//! A message travels as a slice, one element a vehicle (or a learner, or a slot), under one header. Lengths
+//! are in metres, angles in radians, times in nanoseconds of `CLOCK_MONOTONIC`; axes follow REP-103.
+//!
+//! The transport compares types by name, size and alignment alone. Each name therefore ends in a hash of
+//! the layout, and the build fails where hash and layout differ: see [`layout`].
+
+pub mod layout;
+mod messages;
+pub mod topics;
+
+pub use messages::*;
+pub use topics::{Message, Topic, WakeRole};

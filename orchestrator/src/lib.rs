@@ -1,1 +1,23 @@
-//! todo
+//! Looks after the processes of a run: starts them, sequences the drives, restarts what crashed, ends in order.
+//!
+//! Links no service: it starts processes, by re-executing the binary it is part of or by a user's command.
+//! That is what makes a swap of any of them possible by construction.
+//!
+//! [`sequencer`] and [`restart`] decide, and are pure; [`process`] and [`pipeline`] act.
+
+pub mod cli;
+mod cores;
+mod failure;
+mod pipeline;
+mod preflight;
+mod presets;
+pub mod process;
+mod progress;
+mod report;
+pub mod restart;
+pub mod sequencer;
+mod train;
+
+pub use failure::Failure;
+pub use presets::show_config;
+pub use train::train;

@@ -1,1 +1,243 @@
-//! todo
+//! The controller's process: odometry in, raw commands out, and a report at the end of a batch.
+
+use anyhow::Result;
+use config::{Gains, MAX_FLEET, RunConfig};
+use ipc_types::{
+    BatchHeader, Command, DriveReport, DriveRequest, Odometry, RawCommand, TickHeader,
+    TrackingError, WakeRole, WirePose, has,
+};
+use runtime::clock::now_ns;
+use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
+use tracking::{EndReason, Pose};
+
+use crate::{Decision, DriveController, Ended, Seen};
+
+/// Runs the process until it is asked to stop.
+///
+/// # Errors
+/// If it cannot join the run, or the transport fails.
+pub fn run() -> Result<()> {
+    let (attachment, bus, config) = join()?;
+    attachment.pin();
+    let mut controller = Controller::new(&bus, config, attachment.names.run)?;
+    serve(&attachment, &bus, WakeRole::Controller, &mut controller)
+}
+
+struct Controller {
+    requests: Inlet<DriveRequest>,
+    odometry: Inlet<Odometry>,
+    raw_commands: Outlet<RawCommand>,
+    errors: Outlet<TrackingError>,
+    reports: Outlet<DriveReport>,
+    run: u64,
+    /// A drive at its first tick, to be copied into new slots.
+    fresh: DriveController,
+    slots: Vec<Slot>,
+    /// Odometry of a batch whose request has not come yet: the two travel on different topics.
+    early: Option<Received<Odometry>>,
+    /// The batch that is driven, with the tick that comes next; none between batches.
+    driving: Option<(BatchHeader, u64)>,
+    /// The last batch and attempt that was asked for.
+    last: (u64, u32),
+    counters: Counters,
+}
+
+struct Slot {
+    drive: DriveController,
+    request: DriveRequest,
+    /// The last odometry that could be believed.
+    seen: Seen,
+    has_truth: bool,
+    decision: Decision,
+    report: Option<DriveReport>,
+}
+
+impl Controller {
+    fn new(bus: &Bus, config: RunConfig, run: u64) -> Result<Self> {
+        Ok(Self {
+            requests: bus.inlet()?,
+            odometry: bus.inlet()?,
+            raw_commands: bus.outlet()?,
+            errors: bus.outlet()?,
+            reports: bus.outlet()?,
+            run,
+            fresh: DriveController::new(&config),
+            slots: Vec::new(),
+            early: None,
+            driving: None,
+            last: (0, 0),
+            counters: Counters::default(),
+        })
+    }
+
+    fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) {
+        self.driving = None;
+        if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
+            self.counters.dropped += 1;
+            return;
+        }
+        self.slots.clear();
+        self.slots.extend(requests.iter().map(|request| Slot::new(&self.fresh, *request)));
+        self.driving = Some((header, 0));
+        self.last = (header.batch, header.attempt);
+    }
+
+    fn answer(&mut self, header: TickHeader, odometry: &[Odometry]) -> Result<()> {
+        let received_ns = now_ns();
+        let expected = self.driving.is_some_and(|(batch, tick)| {
+            (header.run, header.batch, header.attempt, header.tick)
+                == (self.run, batch.batch, batch.attempt, tick)
+        });
+        if !expected || odometry.len() != self.slots.len() {
+            self.counters.dropped += 1;
+            return Ok(());
+        }
+        for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
+            let believed = slot.tick(header.tick, odometry);
+            self.counters.rejected += u64::from(!believed);
+        }
+        let slots = &self.slots;
+        let header =
+            TickHeader { controller_received_ns: received_ns, controller_sent_ns: now_ns(), ..header };
+        self.raw_commands.send(header, slots.len(), |index| slots[index].raw_command())?;
+        if self.errors.has_readers() {
+            self.errors.send_quietly(header, slots.len(), |index| slots[index].tracking_error())?;
+        }
+        if let Some((_, tick)) = &mut self.driving {
+            *tick += 1;
+        }
+        if slots.iter().all(|slot| slot.report.is_some()) {
+            self.report()?;
+        }
+        Ok(())
+    }
+
+    fn report(&mut self) -> Result<()> {
+        let Some((header, _)) = self.driving.take() else { return Ok(()) };
+        let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..header };
+        let slots = &self.slots;
+        self.reports
+            .send(header, slots.len(), |index| slots[index].report.unwrap_or_default())?;
+        Ok(())
+    }
+}
+
+impl Slot {
+    fn new(fresh: &DriveController, request: DriveRequest) -> Self {
+        let mut drive = fresh.clone();
+        let ipc_types::Gains { kv, kl, ks, ki } = request.gains;
+        drive.reset(Gains { kv, kl, ks, ki }, request.ticks);
+        let start = pose(request.start);
+        Self {
+            drive,
+            request,
+            seen: Seen { measured: start, truth: None, collision: false },
+            has_truth: false,
+            decision: Decision {
+                command: crate::RawCommand::default(),
+                error: tracking::TrackingError::default(),
+                reference_along_m: 0.0,
+                ended: None,
+            },
+            report: None,
+        }
+    }
+
+    /// One tick; whether the odometry could be believed. If not, the last one stands in for it.
+    fn tick(&mut self, tick: u64, odometry: &Odometry) -> bool {
+        if self.report.is_some() {
+            return true;
+        }
+        let has_truth = has(odometry.status, Odometry::HAS_TRUTH);
+        let seen = Seen {
+            measured: pose(odometry.measured),
+            truth: has_truth.then(|| pose(odometry.truth)),
+            collision: has(odometry.status, Odometry::COLLISION),
+        };
+        let believed =
+            seen.measured.is_finite() && seen.truth.is_none_or(|truth| truth.is_finite());
+        if believed {
+            self.seen = seen;
+            self.has_truth = has_truth;
+        }
+        self.decision = self.drive.tick(tick, self.seen);
+        self.report = self.decision.ended.map(|ended| self.to_report(ended));
+        believed
+    }
+
+    fn to_report(&self, Ended { metrics, trace }: Ended) -> DriveReport {
+        DriveReport {
+            gains: self.request.gains,
+            seed: self.request.seed,
+            ticks: metrics.ticks,
+            steering_limited_ticks: metrics.steering_limited_ticks,
+            trace,
+            mean_abs_along_m: metrics.mean_abs_along_m,
+            mean_abs_cross_m: metrics.mean_abs_cross_m,
+            mean_abs_heading_rad: metrics.mean_abs_heading_rad,
+            along_mse_m2: metrics.along_mse_m2,
+            cross_mse_m2: metrics.cross_mse_m2,
+            max_abs_cross_m: metrics.max_abs_cross_m,
+            learner: self.request.learner,
+            step: self.request.step,
+            reason: match metrics.reason {
+                EndReason::Time => DriveReport::TIME,
+                EndReason::Goal => DriveReport::GOAL,
+                EndReason::Collision => DriveReport::COLLISION,
+            },
+            flags: if self.has_truth { Odometry::HAS_TRUTH } else { 0 },
+        }
+    }
+
+    fn raw_command(&self) -> RawCommand {
+        let command = self.decision.command;
+        let flags = if self.report.is_some() { Command::ENDED } else { 0 };
+        RawCommand {
+            speed_mps: command.speed_mps,
+            yaw_rate_radps: command.yaw_rate_radps,
+            steering_rad: command.steering_rad,
+            reference_along_m: self.decision.reference_along_m,
+            flags,
+            reserved: 0,
+        }
+    }
+
+    fn tracking_error(&self) -> TrackingError {
+        let error = self.decision.error;
+        TrackingError {
+            along_track_m: error.along_track_m,
+            cross_track_m: error.cross_track_m,
+            heading_rad: error.heading_rad,
+            reference_along_m: self.decision.reference_along_m,
+        }
+    }
+}
+
+fn pose(wire: WirePose) -> Pose {
+    Pose { x_m: wire.x_m, y_m: wire.y_m, yaw_rad: wire.yaw_rad }
+}
+
+impl Service for Controller {
+    fn poll(&mut self) -> Result<bool> {
+        if let Some(request) = self.requests.receive_newest()? {
+            self.start_batch(request.header(), request.items());
+            return Ok(true);
+        }
+        let early = self.early.take();
+        let Some(odometry) = early.map_or_else(|| self.odometry.receive(), |it| Ok(Some(it)))?
+        else {
+            return Ok(false);
+        };
+        let header = odometry.header();
+        if header.run == self.run && (header.batch, header.attempt) > self.last {
+            self.early = Some(odometry);
+            return Ok(false);
+        }
+        self.answer(odometry.header(), odometry.items())?;
+        Ok(true)
+    }
+
+    fn status(&self) -> Counters {
+        self.counters
+    }
+}

@@ -4,7 +4,8 @@
 //! engine of the exhaustive grid. It calls the same cores as the processes do, in the order of one tick.
 
 use config::{Gains, RunConfig};
-use controller::{Decision, DriveController, Ended, Seen};
+pub use controller::Ended;
+use controller::{Decision, DriveController, Seen};
 use simulator::{Observation, SimulatedVehicle};
 use supervisor::{Gate, Passed};
 

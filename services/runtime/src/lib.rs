@@ -1,1 +1,17 @@
-//! todo
+//! The transport: how a process joins a run, says and hears messages, waits, and shows that it lives.
+//!
+//! The only crate that uses iceoryx2, and the only one below the orchestrator that reads clocks. A process
+//! [attaches](Attachment) to the run named by its environment, opens [`Outlet`]s and [`Inlet`]s on the
+//! run's [`Bus`], and hands a [`Service`] to [`serve`], the one loop that all services share.
+
+mod attachment;
+mod bus;
+pub mod clock;
+pub mod cleanup;
+pub mod logging;
+pub mod run;
+mod serve;
+
+pub use attachment::Attachment;
+pub use bus::{Alarm, Bus, BusError, Inlet, Outlet, Received};
+pub use serve::{Counters, Service, Waiting, join, serve};

@@ -1,1 +1,168 @@
-//! todo
+//! The simulator's process: the vehicle role in lockstep.
+//!
+//! It publishes odometry k, waits for command k, integrates, and publishes k+1: as fast as the rest of the
+//! ring answers.
+
+use anyhow::Result;
+use config::{MAX_FLEET, RunConfig};
+use ipc_types::{BatchHeader, Command, DriveRequest, Odometry, TickHeader, WakeRole, WirePose, has};
+use runtime::clock::now_ns;
+use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
+use tracking::Pose;
+
+use crate::{Observation, SimulatedVehicle};
+
+/// Runs the process until it is asked to stop.
+///
+/// # Errors
+/// If it cannot join the run, or the transport fails.
+pub fn run() -> Result<()> {
+    let (attachment, bus, config) = join()?;
+    attachment.pin();
+    let mut simulator = Simulator::new(&bus, config, attachment.names.run)?;
+    serve(&attachment, &bus, WakeRole::Vehicle, &mut simulator)
+}
+
+struct Simulator {
+    requests: Inlet<DriveRequest>,
+    commands: Inlet<Command>,
+    odometry: Outlet<Odometry>,
+    run: u64,
+    config: RunConfig,
+    slots: Vec<Slot>,
+    /// Header of the odometry that waits for its command; none between batches.
+    waiting: Option<TickHeader>,
+    counters: Counters,
+}
+
+struct Slot {
+    vehicle: SimulatedVehicle,
+    last: Odometry,
+    ended: bool,
+}
+
+impl Simulator {
+    fn new(bus: &Bus, config: RunConfig, run: u64) -> Result<Self> {
+        Ok(Self {
+            requests: bus.inlet()?,
+            commands: bus.inlet()?,
+            odometry: bus.outlet()?,
+            run,
+            config,
+            slots: Vec::new(),
+            waiting: None,
+            counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
+        })
+    }
+
+    fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) -> Result<()> {
+        self.waiting = None;
+        if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
+            self.counters.dropped += 1;
+            return Ok(());
+        }
+        let vehicle = SimulatedVehicle::new(&self.config);
+        self.slots.truncate(requests.len());
+        while self.slots.len() < requests.len() {
+            self.slots.push(Slot { vehicle: vehicle.clone(), last: Odometry::default(), ended: false });
+        }
+        for (slot, request) in self.slots.iter_mut().zip(requests) {
+            let WirePose { x_m, y_m, yaw_rad } = request.start;
+            let noise = has(request.flags, DriveRequest::NOISE).then_some(request.seed);
+            slot.vehicle.reset(Pose { x_m, y_m, yaw_rad }, noise);
+            slot.ended = false;
+        }
+        self.publish(TickHeader {
+            run: self.run,
+            batch: header.batch,
+            attempt: header.attempt,
+            ..TickHeader::default()
+        })
+    }
+
+    fn publish(&mut self, mut header: TickHeader) -> Result<()> {
+        header.odometry_sent_ns = now_ns();
+        let slots = &mut self.slots;
+        self.odometry.send(header, slots.len(), |index| slots[index].observe())?;
+        self.waiting = Some(header);
+        Ok(())
+    }
+
+    fn obey(&mut self, header: TickHeader, commands: &[Command]) -> Result<()> {
+        let Some(waiting) = self.waiting else {
+            self.counters.dropped += 1;
+            return Ok(());
+        };
+        if !header_matches(header, waiting) || commands.len() != self.slots.len() {
+            self.counters.dropped += 1;
+            return Ok(());
+        }
+        let applied_ns = now_ns();
+        for (slot, command) in self.slots.iter_mut().zip(commands) {
+            slot.ended |= has(command.flags, Command::ENDED);
+            if slot.ended {
+                continue;
+            }
+            let (mut speed_mps, mut steering_rad) = (command.speed_mps, command.steering_rad);
+            if !(speed_mps.is_finite() && steering_rad.is_finite()) {
+                self.counters.rejected += 1;
+                (speed_mps, steering_rad) = (0.0, 0.0);
+            }
+            slot.vehicle.step(speed_mps, steering_rad);
+        }
+        if self.slots.iter().all(|slot| slot.ended) {
+            self.waiting = None;
+            return Ok(());
+        }
+        self.publish(TickHeader {
+            run: self.run,
+            batch: waiting.batch,
+            attempt: waiting.attempt,
+            tick: waiting.tick + 1,
+            applied_ns,
+            ..TickHeader::default()
+        })
+    }
+}
+
+impl Slot {
+    fn observe(&mut self) -> Odometry {
+        if self.ended {
+            self.last.status |= Odometry::ENDED;
+            return self.last;
+        }
+        let Observation { measured, truth, speed_mps, yaw_rate_radps, steering_rad, collision } =
+            self.vehicle.observe();
+        let wire = |pose: Pose| WirePose { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad };
+        self.last = Odometry {
+            measured: wire(measured),
+            truth: wire(truth),
+            speed_mps,
+            yaw_rate_radps,
+            steering_rad,
+            status: Odometry::HAS_TRUTH | if collision { Odometry::COLLISION } else { 0 },
+            reserved: 0,
+        };
+        self.last
+    }
+}
+
+fn header_matches(a: TickHeader, b: TickHeader) -> bool {
+    (a.run, a.batch, a.attempt, a.tick) == (b.run, b.batch, b.attempt, b.tick)
+}
+
+impl Service for Simulator {
+    fn poll(&mut self) -> Result<bool> {
+        if let Some(request) = self.requests.receive_newest()? {
+            self.start_batch(request.header(), request.items())?;
+            return Ok(true);
+        }
+        let Some(command) = self.commands.receive()? else { return Ok(false) };
+        self.obey(command.header(), command.items())?;
+        Ok(true)
+    }
+
+    fn status(&self) -> Counters {
+        self.counters
+    }
+}

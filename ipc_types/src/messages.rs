@@ -1,0 +1,359 @@
+//! The messages. Change a field, and the build tells the new hash for the type's name.
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::layout::message;
+
+/// Values of [`Odometry::status`] and of the command's flags are bits; this tests one.
+pub const fn has(bits: u32, bit: u32) -> bool {
+    bits & bit != 0
+}
+
+message!(
+    /// Header of the topics that are sent once a tick.
+    ///
+    /// Each hop copies the header of what it answers, and adds its own stamps.
+    #[name = "pathtune.TickHeader#b992fccc"]
+    pub struct TickHeader {
+        /// The run; whatever names another one is dropped.
+        pub run: u64,
+        /// The batch of drives, counted from 1.
+        pub batch: u64,
+        /// The tick of the batch, counted from 0.
+        pub tick: u64,
+        /// The attempt at this batch, counted from 1.
+        pub attempt: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
+        /// When the command of the tick before was applied; 0 at tick 0.
+        pub applied_ns: u64,
+        /// When the vehicle published the odometry.
+        pub odometry_sent_ns: u64,
+        /// When the controller had taken the odometry.
+        pub controller_received_ns: u64,
+        /// When the controller published the raw command.
+        pub controller_sent_ns: u64,
+        /// When the supervisor had taken the raw command.
+        pub supervisor_received_ns: u64,
+        /// When the supervisor published the command.
+        pub supervisor_sent_ns: u64,
+    }
+);
+
+message!(
+    /// Header of the topics that are sent between ticks.
+    #[name = "pathtune.BatchHeader#d63b4017"]
+    pub struct BatchHeader {
+        /// The run; whatever names another one is dropped.
+        pub run: u64,
+        /// The batch of drives, counted from 1; 0 where none is meant.
+        pub batch: u64,
+        /// The attempt at this batch, counted from 1; 0 where none is meant.
+        pub attempt: u32,
+        /// Bits of the message, as its description says.
+        pub flags: u32,
+        /// When it was sent.
+        pub sent_ns: u64,
+    }
+);
+
+message!(
+    /// A pose in the map frame (REP-103: x forward, y left, yaw counter-clockwise, not wrapped).
+    #[name = "pathtune.WirePose#28756a7d"]
+    pub struct WirePose {
+        /// x in the map frame.
+        pub x_m: f64,
+        /// y in the map frame.
+        pub y_m: f64,
+        /// Yaw in the map frame.
+        pub yaw_rad: f64,
+    }
+);
+
+message!(
+    /// What a vehicle's sensors tell at one tick. Sent by the vehicle.
+    #[name = "pathtune.Odometry#ca97fa1c"]
+    pub struct Odometry {
+        /// Pose of the tracked point as measured.
+        pub measured: WirePose,
+        /// Pose of the tracked point in truth, where `status` has [`Odometry::HAS_TRUTH`]; else 0.
+        pub truth: WirePose,
+        /// Forward speed.
+        pub speed_mps: f64,
+        /// Yaw rate, counter-clockwise.
+        pub yaw_rate_radps: f64,
+        /// Angle of the road wheels, positive to the left.
+        pub steering_rad: f64,
+        /// The bits below.
+        pub status: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
+    }
+);
+
+impl Odometry {
+    /// `truth` holds the true pose.
+    pub const HAS_TRUTH: u32 = 1;
+    /// The vehicle has collided.
+    pub const COLLISION: u32 = 2;
+    /// This slot's drive has ended; the other fields stand still.
+    pub const ENDED: u32 = 4;
+}
+
+message!(
+    /// What the control law wants. Sent by the controller.
+    #[name = "pathtune.RawCommand#b85967c3"]
+    pub struct RawCommand {
+        /// v: forward speed; may be negative.
+        pub speed_mps: f64,
+        /// ω: wanted yaw rate, before the law's filter.
+        pub yaw_rate_radps: f64,
+        /// φ: angle of the road wheels, positive to the left.
+        pub steering_rad: f64,
+        /// Progress of the reference along the path.
+        pub reference_along_m: f64,
+        /// [`Command::ENDED`] or 0.
+        pub flags: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
+    }
+);
+
+message!(
+    /// What the vehicle is to do. Sent by the supervisor.
+    #[name = "pathtune.Command#75b43e5a"]
+    pub struct Command {
+        /// Forward speed; a negative one only brakes.
+        pub speed_mps: f64,
+        /// Wanted yaw rate, as the controller gave it.
+        pub yaw_rate_radps: f64,
+        /// Angle of the road wheels, positive to the left.
+        pub steering_rad: f64,
+        /// The bits below.
+        pub flags: u32,
+        /// The zone that the vehicle is in.
+        pub zone: u32,
+    }
+);
+
+impl Command {
+    /// This slot's drive has ended: the vehicle ignores the command, or comes to a stop.
+    pub const ENDED: u32 = 1;
+    /// The gate lowered the speed to its limit.
+    pub const SPEED_LIMITED: u32 = 2;
+    /// The gate brought the steering angle into its range.
+    pub const STEERING_LIMITED: u32 = 4;
+    /// The raw command was not finite; the gate put a stop in its place.
+    pub const REJECTED: u32 = 8;
+}
+
+message!(
+    /// The error that the law read. Sent by the controller, for observers.
+    #[name = "pathtune.TrackingError#b4e35df1"]
+    pub struct TrackingError {
+        /// Forward: positive where the vehicle is behind its reference.
+        pub along_track_m: f64,
+        /// To the left: positive where the vehicle is to the right of its reference.
+        pub cross_track_m: f64,
+        /// Counter-clockwise.
+        pub heading_rad: f64,
+        /// Progress of the reference along the path.
+        pub reference_along_m: f64,
+    }
+);
+
+message!(
+    /// The four gains of the control law.
+    #[name = "pathtune.Gains#4d3e22b7"]
+    pub struct Gains {
+        /// Kv, 1/s.
+        pub kv: f64,
+        /// Kl, rad/(m·s).
+        pub kl: f64,
+        /// Ks, 1/s.
+        pub ks: f64,
+        /// Ki, without unit.
+        pub ki: f64,
+    }
+);
+
+message!(
+    /// The zone that a vehicle is in. Sent by the supervisor when it changes.
+    #[name = "pathtune.Zone#ffa948e4"]
+    pub struct Zone {
+        /// The first tick for which it holds.
+        pub from_tick: u64,
+        /// The slot of the fleet.
+        pub slot: u32,
+        /// Number of the zone along the path.
+        pub zone: u32,
+    }
+);
+
+message!(
+    /// A drive that a learner asks for. Sent by the trainer, all that are wanted in one message.
+    #[name = "pathtune.Proposal#cfceef29"]
+    pub struct Proposal {
+        /// The gains.
+        pub gains: Gains,
+        /// Seed of the noise.
+        pub seed: u64,
+        /// Full length in ticks.
+        pub ticks: u64,
+        /// The learner that asks.
+        pub learner: u32,
+        /// Its step.
+        pub step: u32,
+    }
+);
+
+impl Proposal {
+    /// In [`BatchHeader::flags`]: the training is over, its outcome written.
+    pub const FINISHED: u32 = 1;
+}
+
+message!(
+    /// One slot of a batch: the drive that one vehicle makes. Sent by the orchestrator, one a vehicle.
+    #[name = "pathtune.DriveRequest#25031ab4"]
+    pub struct DriveRequest {
+        /// Where the tracked point is to stand, at rest.
+        pub start: WirePose,
+        /// The gains.
+        pub gains: Gains,
+        /// Seed of the noise, where `flags` has [`DriveRequest::NOISE`].
+        pub seed: u64,
+        /// Full length in ticks.
+        pub ticks: u64,
+        /// The learner that asked.
+        pub learner: u32,
+        /// Its step.
+        pub step: u32,
+        /// The bits below.
+        pub flags: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
+    }
+);
+
+impl DriveRequest {
+    /// The measured pose is to carry noise.
+    pub const NOISE: u32 = 1;
+}
+
+message!(
+    /// What is remembered of a drive. Sent by the controller when the batch has ended, one a slot.
+    ///
+    /// Errors are those of the true poses where the vehicle knows them, else of the measured ones.
+    #[name = "pathtune.DriveReport#c5e95e05"]
+    pub struct DriveReport {
+        /// The gains that were driven.
+        pub gains: Gains,
+        /// Seed of the request.
+        pub seed: u64,
+        /// Ticks driven.
+        pub ticks: u64,
+        /// Ticks on which the steering angle was at its limit.
+        pub steering_limited_ticks: u64,
+        /// Hash over every pose seen and every command given.
+        pub trace: u64,
+        /// Mean absolute along-track error.
+        pub mean_abs_along_m: f64,
+        /// Mean absolute cross-track error.
+        pub mean_abs_cross_m: f64,
+        /// Mean absolute heading error.
+        pub mean_abs_heading_rad: f64,
+        /// Mean of half the squared along-track error.
+        pub along_mse_m2: f64,
+        /// Mean of half the squared cross-track error.
+        pub cross_mse_m2: f64,
+        /// Largest absolute cross-track error.
+        pub max_abs_cross_m: f64,
+        /// The learner that asked.
+        pub learner: u32,
+        /// Its step.
+        pub step: u32,
+        /// Why it ended: one of the values below.
+        pub reason: u32,
+        /// [`Odometry::HAS_TRUTH`] if the errors are those of true poses.
+        pub flags: u32,
+    }
+);
+
+impl DriveReport {
+    /// The drive's time was over.
+    pub const TIME: u32 = 1;
+    /// The vehicle reached the end of the path.
+    pub const GOAL: u32 = 2;
+    /// The vehicle reported a collision.
+    pub const COLLISION: u32 = 3;
+}
+
+message!(
+    /// A finished drive, as the trainer is told of it. Sent by the orchestrator, again when asked again.
+    #[name = "pathtune.DriveOutcome#078db9d1"]
+    pub struct DriveOutcome {
+        /// The controller's report.
+        pub report: DriveReport,
+        /// The batch that it was driven in.
+        pub batch: u64,
+        /// The attempt that succeeded.
+        pub attempt: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
+    }
+);
+
+message!(
+    /// Where one learner stands. Sent by the trainer, one a learner.
+    #[name = "pathtune.LearnerProgress#65b947ab"]
+    pub struct LearnerProgress {
+        /// Exploration rate of the current episode.
+        pub epsilon: f64,
+        /// Least distance to the goal so far; infinite before the first drive.
+        pub best_distance: f64,
+        /// Drives asked for.
+        pub asked: u64,
+        /// The current episode, counted from 0.
+        pub episode: u32,
+        /// Episodes of the training.
+        pub episodes: u32,
+    }
+);
+
+message!(
+    /// A sign of life. Sent by every process, when it becomes ready and then at least every 100 ms.
+    #[name = "pathtune.Status#13e6b64f"]
+    pub struct Status {
+        /// Which start of this role it is, from the environment.
+        pub incarnation: u64,
+        /// Samples that did not match run, batch, attempt and tick, and were dropped.
+        pub dropped: u64,
+        /// Samples that were not finite or out of range, and were rejected.
+        pub rejected: u64,
+        /// The role: one of the values below.
+        pub role: u32,
+        /// [`Status::READY`] once all ports exist, else 0.
+        pub state: u32,
+        /// Vehicles that the process can drive in one tick; only of the vehicle.
+        pub capacity: u32,
+        /// Bits: how the vehicle paces; only of the vehicle.
+        pub pacing: u32,
+    }
+);
+
+impl Status {
+    /// Value of `role`.
+    pub const VEHICLE: u32 = 1;
+    /// Value of `role`.
+    pub const SUPERVISOR: u32 = 2;
+    /// Value of `role`.
+    pub const CONTROLLER: u32 = 3;
+    /// Value of `role`.
+    pub const TRAINER: u32 = 4;
+    /// Value of `state`: all ports exist.
+    pub const READY: u32 = 1;
+    /// Bit of `pacing`: publishes at its own rate, does not wait for commands.
+    pub const REAL_TIME: u32 = 1;
+    /// Bit of `pacing`: stands at the start of the path, ready to be reset.
+    pub const AT_START: u32 = 2;
+}

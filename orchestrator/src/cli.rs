@@ -1,0 +1,130 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Tunes a path-tracking controller by reinforcement learning, as separate processes over shared memory.
+#[derive(Debug, Parser)]
+#[command(name = "pathtune", version, arg_required_else_help = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Train a manoeuvre to its end, and say how good the gains are
+    Train(TrainArgs),
+    /// Show or write the presets
+    #[command(subcommand)]
+    Config(ConfigCommand),
+    /// A process of a pipeline; started by the orchestrator, not by hand
+    #[command(hide = true)]
+    Service {
+        /// Which one.
+        #[command(subcommand)]
+        service: ServiceCommand,
+    },
+}
+
+/// Options of `train`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune train lane_change
+  pathtune train roundabout --seed 7 --alphas 0.1,0.5 --out runs/mine
+  pathtune train lane_change --set learning.gamma=0.8 --json
+  pathtune train lane_change --replace vehicle='python3 my_vehicle.py'")]
+pub struct TrainArgs {
+    /// The manoeuvre: lane_change or roundabout
+    pub maneuver: String,
+    /// Learning rates, one learner each, in (0, 1]
+    #[arg(long, value_delimiter = ',', value_name = "A,B,…", allow_negative_numbers = true)]
+    pub alphas: Option<Vec<f64>>,
+    /// Every random choice derives from it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    pub seed: Option<u64>,
+    /// Vehicles that drive in the same tick; changes no result [default: one a learner]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=256))]
+    pub fleet: Option<u32>,
+    /// Episodes of each learner [default: the manoeuvre's]
+    #[arg(long, value_name = "N")]
+    pub episodes: Option<u32>,
+    /// Put noise on the odometry
+    #[arg(long)]
+    pub noise: bool,
+    /// Drive again what was driven before; changes no result
+    #[arg(long)]
+    pub no_memo: bool,
+    /// Who tunes [default: educated-q]
+    #[arg(long, value_enum)]
+    pub tuner: Option<TunerArg>,
+    /// Folder for configuration, journal, logs and result [default: runs/<manoeuvre>-<time>]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// TOML file on top of the presets
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// One key on top of everything, as in --set learning.gamma=0.8; repeatable
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Launch file: which processes make up the pipeline
+    #[arg(long, value_name = "FILE")]
+    pub launch: Option<PathBuf>,
+    /// A program of yours in a role (vehicle, supervisor, controller, trainer); repeatable
+    #[arg(long, value_name = "ROLE=COMMAND")]
+    pub replace: Vec<String>,
+    /// Restarts that each process gets in ten seconds
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    pub restart_budget: u32,
+    /// No progress
+    #[arg(long, short)]
+    pub quiet: bool,
+    /// Print result.json instead of the table
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Who tunes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum TunerArg {
+    /// The paper's: locks gains that the terminal sets agree on
+    EducatedQ,
+    /// Plain Q-learning
+    Q,
+}
+
+/// What to do with the presets.
+#[derive(Debug, Subcommand)]
+pub enum ConfigCommand {
+    /// Print the presets, each key with its description
+    Show {
+        /// Only the presets whose path holds this word
+        name: Option<String>,
+    },
+    /// Write the presets into a folder, to be edited
+    Init {
+        /// The folder; made if it is not there
+        #[arg(default_value = "pathtune-config")]
+        folder: PathBuf,
+    },
+}
+
+/// Which process of a pipeline to be.
+#[derive(Debug, Subcommand)]
+#[allow(missing_docs, reason = "named after the processes")]
+pub enum ServiceCommand {
+    Simulator,
+    Controller,
+    Supervisor,
+    Trainer,
+    /// Cleans dead nodes off the bus, and ends
+    Cleaner,
+    /// Becomes a user's program
+    Exec {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
+        words: Vec<String>,
+    },
+}

@@ -1,0 +1,61 @@
+//! How a command ends when it does not succeed, and with which exit code.
+
+use config::ConfigError;
+
+/// How a command ends when it does not succeed.
+#[derive(Debug)]
+pub enum Failure {
+    /// The user's mistake: one line that says what to do. Exit code 64.
+    User(String),
+    /// The pipeline could not be kept alive. Exit code 70.
+    GaveUp(String),
+    /// A signal asked for the end. Exit code 128 + its number.
+    Interrupted(i32),
+    /// Anything else. Exit code 1.
+    Other(anyhow::Error),
+}
+
+impl Failure {
+    /// The exit code.
+    pub fn code(&self) -> u8 {
+        match self {
+            Failure::User(_) => 64,
+            Failure::GaveUp(_) => 70,
+            Failure::Interrupted(signal) => 128 + *signal as u8,
+            Failure::Other(_) => 1,
+        }
+    }
+
+    /// The line that the user sees.
+    pub fn message(&self) -> String {
+        match self {
+            Failure::User(message) | Failure::GaveUp(message) => message.clone(),
+            Failure::Interrupted(_) => "interrupted; the processes were stopped".to_owned(),
+            Failure::Other(error) => format!("{error:#}"),
+        }
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        Failure::User(error.to_string())
+    }
+}
+
+impl From<anyhow::Error> for Failure {
+    fn from(error: anyhow::Error) -> Self {
+        Failure::Other(error)
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Self {
+        Failure::Other(error.into())
+    }
+}
+
+impl From<runtime::BusError> for Failure {
+    fn from(error: runtime::BusError) -> Self {
+        Failure::Other(error.into())
+    }
+}

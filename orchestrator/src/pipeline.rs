@@ -1,0 +1,463 @@
+//! The loop that joins everything: hears the processes, sequences the drives, restarts what died.
+//!
+//! [`Pipeline::run_to_end`] is the main loop.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use config::RunConfig;
+use config::launch::{Launch, ProcessEntry, Role};
+use ipc_types::{
+    BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Status,
+    WakeRole, WirePose, has,
+};
+use runtime::clock::now_ns;
+use runtime::run::RunNames;
+use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting, cleanup};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::time::Timespec;
+
+use crate::Failure;
+use crate::cores::CoreClaim;
+use crate::process::{Process, clean_dead_nodes, describe, last_lines};
+use crate::progress::Progress;
+use crate::report::{ProcessFacts, RunFacts};
+use crate::restart::{Budget, Decision, RestartPolicy};
+use crate::sequencer::Sequencer;
+
+/// A process must be ready this soon after its start: it opens a dozen files.
+const READY_WITHIN_NS: u64 = 5_000_000_000;
+/// A ready process that shows no sign of life for this long is taken for frozen: five beats.
+const BEATS_WITHIN_NS: u64 = 500_000_000;
+/// A process that was asked to stop gets this long.
+const STOPS_WITHIN: Duration = Duration::from_secs(5);
+/// Longest sleep of the orchestrator: deaths and messages wake it, deadlines do not.
+const NAP_NS: i64 = 20_000_000;
+/// Between two looks at the children while messages flow.
+const REAP_EVERY_NS: u64 = 1_000_000;
+
+/// What a pipeline is made of.
+pub(crate) struct Plan {
+    pub(crate) config: RunConfig,
+    pub(crate) launch: Launch,
+    pub(crate) folder: PathBuf,
+    pub(crate) budget: Budget,
+    pub(crate) quiet: bool,
+}
+
+/// A running pipeline.
+pub(crate) struct Pipeline<'a> {
+    attachment: Attachment,
+    bus: Bus,
+    alarm: Alarm,
+    status: Inlet<Status>,
+    proposals: Inlet<Proposal>,
+    reports: Inlet<DriveReport>,
+    learner_progress: Inlet<LearnerProgress>,
+    requests: Outlet<DriveRequest>,
+    outcomes: Outlet<DriveOutcome>,
+    members: Vec<Member>,
+    sequencer: Sequencer,
+    progress: &'a mut Progress,
+    interrupted: Arc<AtomicUsize>,
+    /// Somebody of the ring died: the batch under way will not end.
+    batch_is_broken: bool,
+    /// The trainer has written its outcome.
+    is_over: bool,
+    reaped_ns: u64,
+    started_ns: u64,
+    _core: Option<CoreClaim>,
+}
+
+/// A process of the pipeline, alive or not.
+struct Member {
+    entry: ProcessEntry,
+    name: &'static str,
+    log: PathBuf,
+    state: State,
+    policy: RestartPolicy,
+    incarnation: u64,
+    pid: u32,
+}
+
+enum State {
+    /// To be started at this time.
+    Down { due_ns: u64 },
+    /// Up, and not ready yet.
+    Starting { process: Process, since_ns: u64 },
+    /// All its ports exist.
+    Ready { process: Process, beat_ns: u64 },
+}
+
+impl State {
+    fn process(&mut self) -> Option<&mut Process> {
+        match self {
+            State::Down { .. } => None,
+            State::Starting { process, .. } | State::Ready { process, .. } => Some(process),
+        }
+    }
+}
+
+impl<'a> Pipeline<'a> {
+    /// Creates the run's topics; starts nothing yet.
+    pub(crate) fn new(
+        plan: &Plan,
+        names: &RunNames,
+        progress: &'a mut Progress,
+    ) -> Result<Self, Failure> {
+        let config = &plan.config;
+        let max_len = config.fleet().max(config.run.alphas.len());
+        let bus = Bus::create(names, max_len)?;
+        let core = CoreClaim::new();
+        let interrupted = Arc::new(AtomicUsize::new(0));
+        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+            signal_hook::flag::register_usize(signal, interrupted.clone(), signal as usize)?;
+        }
+        let start = config.path.start;
+        let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
+        let members = plan.launch.process.iter().map(|entry| Member::new(entry, plan)).collect();
+        Ok(Self {
+            attachment: Attachment {
+                names: names.clone(),
+                folder: plan.folder.clone(),
+                max_len,
+                incarnation: 0,
+                core: core.as_ref().map(|claim| claim.core),
+                parent: std::process::id() as i32,
+            },
+            alarm: bus.alarm(WakeRole::Orchestrator)?,
+            status: bus.inlet()?,
+            proposals: bus.inlet()?,
+            reports: bus.inlet()?,
+            learner_progress: bus.inlet()?,
+            requests: bus.outlet()?,
+            outcomes: bus.outlet()?,
+            bus,
+            members,
+            sequencer: Sequencer::new(names.run, start, config.noise.enabled, config.fleet()),
+            progress,
+            interrupted,
+            batch_is_broken: false,
+            is_over: false,
+            reaped_ns: 0,
+            started_ns: now_ns(),
+            _core: core,
+        })
+    }
+
+    /// The main loop: from the first start to the trainer's outcome, or to the reason why there is none.
+    pub(crate) fn run_to_end(&mut self) -> Result<RunFacts, Failure> {
+        let result = self.loop_until_over();
+        self.stop_all();
+        result?;
+        Ok(RunFacts {
+            counts: self.sequencer.counts(),
+            processes: self.members.iter().map(Member::facts).collect(),
+            wall_s: (now_ns() - self.started_ns) as f64 / 1e9,
+        })
+    }
+
+    fn loop_until_over(&mut self) -> Result<(), Failure> {
+        let mut waiting = Waiting::default();
+        loop {
+            let signal = self.interrupted.load(Ordering::Relaxed);
+            if signal != 0 {
+                return Err(Failure::Interrupted(signal as i32));
+            }
+            let mut heard = self.hear_status()?;
+            self.look_after_members()?;
+            heard |= self.hear_trainer()?;
+            heard |= self.hear_controller()?;
+            if self.is_over {
+                return Ok(());
+            }
+            self.drive()?;
+            if heard {
+                waiting.progress();
+                std::thread::yield_now();
+            } else if waiting.may_sleep() {
+                self.sleep();
+            } else {
+                std::thread::yield_now();
+            }
+        }
+    }
+
+    /// Signs of life: who is ready, and who still is.
+    fn hear_status(&mut self) -> Result<bool, Failure> {
+        let mut heard = false;
+        while let Some(message) = self.status.receive()? {
+            heard = true;
+            let Some(status) = message.items().first().copied() else { continue };
+            let from_this_run = message.header().run == self.attachment.names.run;
+            let member = self.members.iter_mut().find(|member| {
+                member.wire_role() == status.role && member.incarnation == status.incarnation
+            });
+            let Some(member) = member.filter(|_| from_this_run && status.state == Status::READY)
+            else {
+                continue;
+            };
+            if member.beat(now_ns()) {
+                tracing::info!(process = member.name, pid = member.pid, "ready");
+                if member.entry.role == Role::Vehicle {
+                    self.sequencer.limit_fleet(status.capacity as usize);
+                }
+            }
+        }
+        Ok(heard)
+    }
+
+    /// What the trainer wants, and where it stands.
+    fn hear_trainer(&mut self) -> Result<bool, Failure> {
+        if let Some(progress) = self.learner_progress.receive_newest()? {
+            self.progress.show(progress.items(), self.sequencer.counts());
+        }
+        let mut heard = false;
+        while let Some(message) = self.proposals.receive()? {
+            heard = true;
+            let header = message.header();
+            if header.run != self.attachment.names.run {
+                continue;
+            }
+            if has(header.flags, Proposal::FINISHED) {
+                self.is_over = true;
+                return Ok(true);
+            }
+            let missed = self.sequencer.propose(message.items());
+            self.tell_trainer(&missed)?;
+        }
+        Ok(heard)
+    }
+
+    /// Reports of batches that have ended.
+    fn hear_controller(&mut self) -> Result<bool, Failure> {
+        let mut heard = false;
+        while let Some(message) = self.reports.receive()? {
+            heard = true;
+            if let Some(outcomes) = self.sequencer.report(message.header(), message.items()) {
+                self.batch_is_broken = false;
+                for member in &mut self.members {
+                    member.policy.works();
+                }
+                self.tell_trainer(&outcomes)?;
+            }
+        }
+        Ok(heard)
+    }
+
+    fn tell_trainer(&self, outcomes: &[DriveOutcome]) -> Result<(), Failure> {
+        if !outcomes.is_empty() {
+            let run = self.attachment.names.run;
+            let header = BatchHeader { run, sent_ns: now_ns(), ..BatchHeader::default() };
+            self.outcomes.send(header, outcomes.len(), |index| outcomes[index])?;
+        }
+        Ok(())
+    }
+
+    /// Issues the next batch, or the broken one again, once everybody is ready.
+    fn drive(&mut self) -> Result<(), Failure> {
+        if !self.members.iter().all(Member::is_ready) {
+            return Ok(());
+        }
+        let broken = std::mem::take(&mut self.batch_is_broken);
+        let batch =
+            if broken { self.sequencer.reissue() } else { None }.map(|(header, drives)| {
+                tracing::info!(batch = header.batch, attempt = header.attempt, "reissued");
+                (header, drives)
+            });
+        let Some((header, drives)) = (match batch {
+            Some(batch) => Some(batch),
+            None => self.sequencer.next_batch(),
+        }) else {
+            return Ok(());
+        };
+        let header = BatchHeader { sent_ns: now_ns(), ..header };
+        self.requests.send(header, drives.len(), |index| drives[index])?;
+        Ok(())
+    }
+
+    /// Starts who is due, in order; replaces who died or froze.
+    fn look_after_members(&mut self) -> Result<(), Failure> {
+        let now = now_ns();
+        if now - self.reaped_ns < REAP_EVERY_NS {
+            return Ok(());
+        }
+        self.reaped_ns = now;
+        for index in 0..self.members.len() {
+            if let Some(why) = self.members[index].trouble(now) {
+                self.replace(index, &why)?;
+            }
+        }
+        // One at a time: a starter's half-made files must be nobody else's.
+        let Some(member) = self.members.iter_mut().find(|member| !member.is_ready()) else {
+            return Ok(());
+        };
+        if let State::Down { due_ns } = member.state
+            && now >= due_ns
+        {
+            member.start(&self.attachment)?;
+        }
+        Ok(())
+    }
+
+    /// A process died, froze or did not become ready: removes what it left, and decides what comes next.
+    fn replace(&mut self, index: usize, why: &str) -> Result<(), Failure> {
+        let member = &mut self.members[index];
+        if let Some(process) = member.state.process() {
+            process.kill();
+        }
+        let pid = member.pid;
+        let (now, jitter) = (now_ns(), f64::from(pid % 97) / 97.0);
+        let decision = member.policy.died(now, jitter);
+        tracing::warn!(process = member.name, pid, why, ?decision, "replacing");
+        cleanup::remove_half_made(&self.attachment.names, pid);
+        clean_dead_nodes(&self.attachment);
+        cleanup::remove_leftovers(&self.attachment.names, pid);
+        if member.entry.role != Role::Trainer {
+            self.batch_is_broken = self.sequencer.is_driving();
+        }
+        let wait = match decision {
+            Decision::Restart(wait) => wait,
+            Decision::GiveUp => return Err(member.given_up(why)),
+        };
+        self.progress.notice(&format!("{} (pid {pid}) {why}; it is restarted", member.name));
+        member.state = State::Down { due_ns: now_ns() + wait.as_nanos() as u64 };
+        // The clean-up took a while, in which nobody was heard: no reason to take others for frozen.
+        self.hear_status()?;
+        Ok(())
+    }
+
+    /// Sleeps until a message, a death or the next deadline.
+    fn sleep(&mut self) {
+        self.bus.look_for_readers();
+        let mut fds = vec![PollFd::new(&self.alarm, PollFlags::IN)];
+        for member in &mut self.members {
+            if let Some(process) = member.state.process() {
+                fds.push(PollFd::new(&process.pidfd, PollFlags::IN));
+            }
+        }
+        let nap = Timespec { tv_sec: 0, tv_nsec: NAP_NS };
+        // A signal ends it early, which is as good as a message.
+        let _ = poll(&mut fds, Some(&nap));
+        self.alarm.clear();
+        self.bus.look_for_readers();
+        self.reaped_ns = 0;
+    }
+
+    /// Stops everybody, the last started first.
+    fn stop_all(&mut self) {
+        for member in self.members.iter_mut().rev() {
+            if let Some(process) = member.state.process()
+                && !process.stop(STOPS_WITHIN)
+            {
+                self.progress.notice(&format!("{} did not stop, and was killed", member.name));
+            }
+            member.state = State::Down { due_ns: u64::MAX };
+        }
+    }
+}
+
+impl Member {
+    fn new(entry: &ProcessEntry, plan: &Plan) -> Self {
+        let name = match entry.command {
+            Some(_) => entry.role.name(),
+            None => entry.role.own_service(),
+        };
+        Self {
+            entry: entry.clone(),
+            name,
+            log: plan.folder.join("logs").join(format!("{name}.log")),
+            state: State::Down { due_ns: 0 },
+            policy: RestartPolicy::new(plan.budget),
+            incarnation: 0,
+            pid: 0,
+        }
+    }
+
+    fn wire_role(&self) -> u32 {
+        match self.entry.role {
+            Role::Vehicle => Status::VEHICLE,
+            Role::Supervisor => Status::SUPERVISOR,
+            Role::Controller => Status::CONTROLLER,
+            Role::Trainer => Status::TRAINER,
+        }
+    }
+
+    fn is_ready(&self) -> bool {
+        matches!(self.state, State::Ready { .. })
+    }
+
+    fn start(&mut self, attachment: &Attachment) -> Result<(), Failure> {
+        self.incarnation += 1;
+        // Only the ring shares a core; the trainer works while the ring rests.
+        let core = attachment.core.filter(|_| self.entry.role != Role::Trainer);
+        let attachment = Attachment { incarnation: self.incarnation, core, ..attachment.clone() };
+        let process = Process::start(&self.entry, &attachment, &self.log).map_err(|error| {
+            anyhow::Error::new(error).context(format!("failed to start the {}", self.name))
+        })?;
+        self.pid = process.id();
+        tracing::info!(process = self.name, pid = self.pid, "started");
+        self.state = State::Starting { process, since_ns: now_ns() };
+        Ok(())
+    }
+
+    /// Notes a sign of life. Whether it was the first.
+    fn beat(&mut self, now_ns: u64) -> bool {
+        match std::mem::replace(&mut self.state, State::Down { due_ns: now_ns }) {
+            State::Starting { process, .. } => {
+                self.state = State::Ready { process, beat_ns: now_ns };
+                true
+            }
+            State::Ready { process, .. } => {
+                self.state = State::Ready { process, beat_ns: now_ns };
+                false
+            }
+            down @ State::Down { .. } => {
+                self.state = down;
+                false
+            }
+        }
+    }
+
+    /// What is wrong with the process, if anything is.
+    fn trouble(&mut self, now_ns: u64) -> Option<String> {
+        if let Some(status) = self.state.process()?.try_wait() {
+            return Some(describe(status));
+        }
+        match &self.state {
+            State::Starting { since_ns, .. } if now_ns - since_ns > READY_WITHIN_NS => {
+                Some(format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000))
+            }
+            State::Ready { beat_ns, .. } if now_ns.saturating_sub(*beat_ns) > BEATS_WITHIN_NS => {
+                Some(format!("showed no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000))
+            }
+            _ => None,
+        }
+    }
+
+    fn given_up(&self, why: &str) -> Failure {
+        let lines = last_lines(&self.log, 5);
+        let said = if lines.is_empty() { "nothing".to_owned() } else { lines.join(" | ") };
+        Failure::GaveUp(format!(
+            "gave up: the {} {why}, too often in too short a time; it said last: {said}; \
+             look into {}",
+            self.name,
+            self.log.display(),
+        ))
+    }
+
+    fn facts(&self) -> ProcessFacts {
+        ProcessFacts {
+            name: self.name,
+            pid: self.pid,
+            restarts: self.incarnation.saturating_sub(1) as u32,
+        }
+    }
+}
+
+/// Reads the names of a run's log folder; here so that everything about members stays together.
+pub(crate) fn log_of_orchestrator(folder: &Path) -> PathBuf {
+    folder.join("logs").join("orchestrator.log")
+}

@@ -1,0 +1,81 @@
+//! What is checked before anything is started, so that a mistake leaves nothing behind.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use config::launch::Launch;
+
+use crate::Failure;
+
+/// Checks that the programs of a launch file exist.
+pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {
+    for entry in &launch.process {
+        let Some(command) = &entry.command else { continue };
+        let fail = |why: String| {
+            Err(Failure::User(format!("the command of the {}: {command}: {why}", entry.role.name())))
+        };
+        let words = match shell_words::split(command) {
+            Ok(words) => words,
+            Err(error) => return fail(format!("{error}")),
+        };
+        let Some(program) = words.first() else { return fail("is empty".to_owned()) };
+        if which::which(program).is_err() {
+            return fail(format!("{program} is not an executable file, and not in the PATH"));
+        }
+    }
+    Ok(())
+}
+
+/// Makes the output folder, or takes an empty one.
+pub(crate) fn make_folder(folder: &Path) -> Result<PathBuf, Failure> {
+    let fail = |why: String| Failure::User(format!("--out {}: {why}", folder.display()));
+    match fs::read_dir(folder) {
+        Ok(mut entries) => {
+            if entries.next().is_some() {
+                return Err(fail("holds files already; name another folder".to_owned()));
+            }
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            fs::create_dir_all(folder)
+                .map_err(|error| fail(format!("cannot be made: {error}")))?;
+        }
+        Err(error) => return Err(fail(format!("cannot be used: {error}"))),
+    }
+    let folder = fs::canonicalize(folder)
+        .map_err(|error| fail(format!("cannot be used: {error}")))?;
+    fs::create_dir(folder.join("logs"))
+        .map_err(|error| fail(format!("cannot be written: {error}")))?;
+    Ok(folder)
+}
+
+/// Removes an output folder in which nothing has happened yet.
+pub(crate) fn unmake_folder(folder: &Path) {
+    let _ = fs::remove_dir(folder.join("logs"));
+    let _ = fs::remove_dir(folder);
+}
+
+/// Checks that `/dev/shm` has room for a run whose messages carry `max_len` elements.
+///
+/// A full one is a bus error in the middle of a run, not an error that could be handled.
+pub(crate) fn check_shared_memory(max_len: usize) -> Result<(), Failure> {
+    let needed = needed_bytes(max_len);
+    let stat = rustix::fs::statvfs("/dev/shm")
+        .map_err(|error| Failure::User(format!("/dev/shm cannot be used: {error}")))?;
+    let free = stat.f_bavail.saturating_mul(stat.f_frsize);
+    if free >= needed {
+        return Ok(());
+    }
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    Err(Failure::User(format!(
+        "/dev/shm is too small: a run with {max_len} vehicles needs {} MiB, and {} MiB are free; \
+         make room there, enlarge it (mount -o remount,size=… /dev/shm), or take a smaller --fleet",
+        mib(needed),
+        mib(free),
+    )))
+}
+
+/// Shared memory that a run may touch.
+fn needed_bytes(max_len: usize) -> u64 {
+    (4 << 20) + max_len as u64 * (64 << 10)
+}

@@ -1,0 +1,167 @@
+//! Starts and ends processes. Decides nothing.
+
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::fd::OwnedFd;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use config::launch::ProcessEntry;
+use runtime::Attachment;
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process_group, pidfd_open};
+
+/// A living process of the pipeline, in a process group of its own.
+#[derive(Debug)]
+pub struct Process {
+    child: Child,
+    /// Readable once the process has died.
+    pub pidfd: OwnedFd,
+}
+
+impl Process {
+    /// Starts a process. Its output is added to the file `log`.
+    ///
+    /// Call it from the main thread: the parent-death signal follows the thread that spawned.
+    ///
+    /// # Errors
+    /// If the program or the log file cannot be opened.
+    pub fn start(entry: &ProcessEntry, attachment: &Attachment, log: &Path) -> io::Result<Self> {
+        // The very binary that runs, also when the file was replaced since.
+        let mut command = Command::new("/proc/self/exe");
+        command.arg0("pathtune");
+        match &entry.command {
+            None => {
+                command.args(["service", entry.role.own_service()]);
+            }
+            Some(words) => {
+                // Ties itself to us and moves to the core, then becomes the user's program.
+                command.args(["service", "exec", "--"]);
+                command.args(shell_words::split(words).map_err(io::Error::other)?);
+            }
+        }
+        let output: File = OpenOptions::new().create(true).append(true).open(log)?;
+        let child = command
+            .envs(attachment.to_env())
+            .process_group(0)
+            .stdin(Stdio::null())
+            .stdout(output.try_clone()?)
+            .stderr(output)
+            .spawn()?;
+        let pidfd = pidfd_open(pid_of(&child), PidfdFlags::empty())?;
+        Ok(Self { child, pidfd })
+    }
+
+    /// Its process id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// How it died, if it has.
+    pub fn try_wait(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().ok().flatten()
+    }
+
+    /// Asks it to stop.
+    pub fn interrupt(&self) {
+        let _ = kill_process_group(pid_of(&self.child), Signal::INT);
+    }
+
+    /// Kills it with all its own children, and waits for its end.
+    pub fn kill(&mut self) -> Option<ExitStatus> {
+        let _ = kill_process_group(pid_of(&self.child), Signal::KILL);
+        self.child.wait().ok()
+    }
+
+    /// Asks it to stop, waits for at most `patience`, and kills what is left of it. Whether it stopped by
+    /// itself.
+    pub fn stop(&mut self, patience: Duration) -> bool {
+        self.interrupt();
+        let until = Instant::now() + patience;
+        let stopped = loop {
+            if self.try_wait().is_some() {
+                break true;
+            }
+            if Instant::now() >= until {
+                break false;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        };
+        self.kill();
+        stopped
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if self.try_wait().is_none() {
+            self.kill();
+        }
+    }
+}
+
+fn pid_of(child: &Child) -> Pid {
+    Pid::from_child(child)
+}
+
+/// Becomes a user's program: the second half of [`Process::start`] with a command.
+///
+/// # Errors
+/// Always, if it returns at all: the orchestrator is gone, or the program cannot be executed.
+pub fn exec(words: &[String]) -> anyhow::Error {
+    let attachment = match Attachment::from_env() {
+        Ok(attachment) => attachment,
+        Err(error) => return error,
+    };
+    if let Err(error) = attachment.tie_to_parent() {
+        return error;
+    }
+    attachment.pin();
+    let Some((program, arguments)) = words.split_first() else {
+        return anyhow::anyhow!("no program to execute");
+    };
+    let error = Command::new(program).args(arguments).exec();
+    anyhow::Error::new(error).context(format!("failed to execute {program}"))
+}
+
+/// Runs the helper that cleans dead nodes off the bus; kills it if it hangs, as it may on half-made files.
+pub fn clean_dead_nodes(attachment: &Attachment) {
+    let helper = Command::new("/proc/self/exe")
+        .arg0("pathtune")
+        .args(["service", "cleaner"])
+        .envs(attachment.to_env())
+        .process_group(0)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn();
+    let Ok(mut helper) = helper else { return };
+    let until = Instant::now() + Duration::from_secs(3);
+    while Instant::now() < until {
+        if helper.try_wait().ok().flatten().is_some() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    tracing::warn!("the clean-up helper hung, and was killed");
+    let _ = helper.kill();
+    let _ = helper.wait();
+}
+
+/// How a process died, for people.
+pub fn describe(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("ended with exit code {code}"),
+        (None, Some(signal)) => format!("was ended by signal {signal}"),
+        (None, None) => "ended".to_owned(),
+    }
+}
+
+/// The last lines of a log.
+pub fn last_lines(log: &PathBuf, count: usize) -> Vec<String> {
+    let text = std::fs::read(log).unwrap_or_default();
+    let text = String::from_utf8_lossy(&text);
+    let lines: Vec<&str> = text.lines().collect();
+    lines[lines.len().saturating_sub(count)..].iter().map(|line| (*line).to_owned()).collect()
+}

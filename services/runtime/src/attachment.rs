@@ -1,0 +1,107 @@
+//! How a process learns which run it belongs to: its environment.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+
+use crate::run::RunNames;
+
+/// Where a process belongs: the variables that the orchestrator sets for each of its children.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Attachment {
+    /// The run.
+    pub names: RunNames,
+    /// The run's output folder: configuration, journal, logs, result.
+    pub folder: PathBuf,
+    /// The most elements that a message of this run carries.
+    pub max_len: usize,
+    /// Which start of this role it is, counted from 1.
+    pub incarnation: u64,
+    /// The core that the processes of the ring share, if they are to.
+    pub core: Option<usize>,
+    /// The orchestrator's process id.
+    pub parent: i32,
+}
+
+const RUN: &str = "PATHTUNE_RUN";
+const ROOT: &str = "PATHTUNE_ROOT";
+const PREFIX: &str = "PATHTUNE_PREFIX";
+const FOLDER: &str = "PATHTUNE_FOLDER";
+const MAX_LEN: &str = "PATHTUNE_MAX_LEN";
+const INCARNATION: &str = "PATHTUNE_INCARNATION";
+const CORE: &str = "PATHTUNE_CORE";
+const PARENT: &str = "PATHTUNE_PARENT";
+
+impl Attachment {
+    /// Reads the environment.
+    ///
+    /// # Errors
+    /// If a variable is missing or malformed: the process was not started by an orchestrator.
+    pub fn from_env() -> Result<Self> {
+        let text = |name: &str| {
+            std::env::var(name).with_context(|| {
+                format!("{name} is not set: services are started by `pathtune train`, not by hand")
+            })
+        };
+        let run = u64::from_str_radix(&text(RUN)?, 16).with_context(|| format!("malformed {RUN}"))?;
+        let names = RunNames { run, root: PathBuf::from(text(ROOT)?) };
+        if text(PREFIX)? != names.prefix() {
+            bail!("{PREFIX} does not belong to {RUN}");
+        }
+        let core = match std::env::var(CORE) {
+            Ok(core) => Some(core.parse().with_context(|| format!("malformed {CORE}"))?),
+            Err(_) => None,
+        };
+        Ok(Self {
+            names,
+            folder: PathBuf::from(text(FOLDER)?),
+            max_len: text(MAX_LEN)?.parse().with_context(|| format!("malformed {MAX_LEN}"))?,
+            incarnation: text(INCARNATION)?
+                .parse()
+                .with_context(|| format!("malformed {INCARNATION}"))?,
+            core,
+            parent: text(PARENT)?.parse().with_context(|| format!("malformed {PARENT}"))?,
+        })
+    }
+
+    /// The variables, for a child.
+    pub fn to_env(&self) -> Vec<(&'static str, String)> {
+        let mut env = vec![
+            (RUN, format!("{:016x}", self.names.run)),
+            (ROOT, self.names.root.display().to_string()),
+            (PREFIX, self.names.prefix()),
+            (FOLDER, self.folder.display().to_string()),
+            (MAX_LEN, self.max_len.to_string()),
+            (INCARNATION, self.incarnation.to_string()),
+            (PARENT, self.parent.to_string()),
+        ];
+        if let Some(core) = self.core {
+            env.push((CORE, core.to_string()));
+        }
+        env
+    }
+
+    /// Ties this process to its orchestrator: it is killed when that dies. Call it first thing.
+    ///
+    /// # Errors
+    /// If the orchestrator is gone already.
+    pub fn tie_to_parent(&self) -> Result<()> {
+        rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))?;
+        // It may have died before the signal was asked for.
+        let parent = rustix::process::getppid().map(|pid| pid.as_raw_nonzero().get());
+        if parent != Some(self.parent) {
+            bail!("the orchestrator that started this process is gone");
+        }
+        Ok(())
+    }
+
+    /// Moves this process to the run's core; a refusal costs speed and nothing else.
+    pub fn pin(&self) {
+        let Some(core) = self.core else { return };
+        let mut cores = rustix::thread::CpuSet::new();
+        cores.set(core);
+        if let Err(error) = rustix::thread::sched_setaffinity(None, &cores) {
+            tracing::warn!(core, %error, "not pinned");
+        }
+    }
+}

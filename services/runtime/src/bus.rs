@@ -1,0 +1,390 @@
+//! The bus of one run: topics, the ports on them, and the events that wake their readers.
+
+use std::any::Any;
+use std::cell::{Cell, RefCell};
+use std::fs;
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::fs::PermissionsExt;
+use std::rc::Rc;
+use std::time::Duration;
+
+use iceoryx2::config::Config;
+use iceoryx2::node::{Node, NodeBuilder};
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use iceoryx2::service::port_factory::PortFactory as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use ipc_types::topics::{MAX_NODES, MAX_SUBSCRIBERS, OBSERVER_BUFFER};
+use ipc_types::{Message, WakeRole, for_each_topic};
+
+use crate::clock::now_ns;
+use crate::run::RunNames;
+
+/// A reader that has waited this long may have gone to sleep; one that has not, has not. Readers and
+/// writers share the value: see [`Outlet::send`] and [`crate::serve`].
+pub(crate) const SLEEPS_AFTER_NS: u64 = 100_000;
+
+/// The transport refused something; says what was asked of it.
+#[derive(Debug, thiserror::Error)]
+#[error("failed to {action}: {cause}")]
+pub struct BusError {
+    action: String,
+    cause: String,
+}
+
+fn refused<E: std::fmt::Debug>(action: impl Into<String>) -> impl FnOnce(E) -> BusError {
+    let action = action.into();
+    move |cause| BusError { action, cause: format!("{cause:?}") }
+}
+
+/// One process's place on the bus of a run.
+pub struct Bus {
+    node: Node<ipc::Service>,
+    max_len: usize,
+    /// What only the creator holds, so that topics outlive their users.
+    held: Vec<Box<dyn Any>>,
+    /// Every publisher of this process: they meet late joiners only when told to look.
+    outlets: RefCell<Vec<Rc<dyn LooksForReaders>>>,
+}
+
+trait LooksForReaders {
+    fn look_for_readers(&self);
+}
+
+impl<M: Message> LooksForReaders for Publisher<ipc::Service, [M], M::Header> {
+    fn look_for_readers(&self) {
+        let _ = self.update_connections();
+    }
+}
+
+impl Bus {
+    /// Creates the bus of a run with all its topics, and holds them. The orchestrator's alone.
+    ///
+    /// # Errors
+    /// If the transport refuses, for one because `/dev/shm` is full.
+    pub fn create(names: &RunNames, max_len: usize) -> Result<Self, BusError> {
+        let mut bus = Self::attach(names, max_len)?;
+        tighten_global_management(names);
+        let mut held: Vec<Box<dyn Any>> = Vec::new();
+        macro_rules! create {
+            ($message:ty) => {
+                held.push(Box::new(bus.topic::<$message>(true)?));
+            };
+        }
+        for_each_topic!(create);
+        for role in WakeRole::ALL {
+            let event = bus
+                .node
+                .service_builder(&service_name(role.event_name()))
+                .event()
+                .max_listeners(16)
+                .max_notifiers(MAX_NODES)
+                .max_nodes(MAX_NODES)
+                .event_id_max_value(0)
+                .create()
+                .map_err(refused(format!("create the event {}", role.event_name())))?;
+            held.push(Box::new(event));
+        }
+        bus.held = held;
+        Ok(bus)
+    }
+
+    /// Joins the bus of a run. `max_len` is the most elements that a message will carry.
+    ///
+    /// # Errors
+    /// If the run is gone or the transport refuses.
+    pub fn attach(names: &RunNames, max_len: usize) -> Result<Self, BusError> {
+        let node = NodeBuilder::new()
+            .config(&transport_config(names)?)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>()
+            .map_err(refused("join the run"))?;
+        Ok(Self { node, max_len, held: Vec::new(), outlets: RefCell::default() })
+    }
+
+    fn topic<M: Message>(
+        &self,
+        create: bool,
+    ) -> Result<PortFactory<ipc::Service, [M], M::Header>, BusError> {
+        let topic = M::TOPIC;
+        let builder = self
+            .node
+            .service_builder(&service_name(topic.name))
+            .publish_subscribe::<[M]>()
+            .user_header::<M::Header>();
+        if create {
+            builder
+                .history_size(topic.history)
+                .subscriber_max_buffer_size(OBSERVER_BUFFER)
+                .subscriber_max_borrowed_samples(2)
+                .max_subscribers(MAX_SUBSCRIBERS)
+                .max_publishers(topic.publishers)
+                .max_nodes(MAX_NODES)
+                // A reader that stalls loses its own samples; it never stops the loop.
+                .enable_safe_overflow(true)
+                .create()
+                .map_err(refused(format!("create the topic {}", topic.name)))
+        } else {
+            builder.open().map_err(refused(format!("open the topic {}", topic.name)))
+        }
+    }
+
+    /// The right to send messages of one kind.
+    ///
+    /// # Errors
+    /// If somebody else has it, or the transport refuses.
+    pub fn outlet<M: Message>(&self) -> Result<Outlet<M>, BusError> {
+        let action = || format!("publish on {}", M::TOPIC.name);
+        let topic = self.topic::<M>(false)?;
+        let publisher = topic
+            .publisher_builder()
+            .initial_max_slice_len(self.max_len)
+            .max_loaned_samples(1)
+            .create()
+            .map_err(refused(action()))?;
+        let publisher = Rc::new(publisher);
+        self.outlets.borrow_mut().push(publisher.clone());
+        let wakes =
+            M::TOPIC.wakes.iter().map(|role| self.notifier(*role)).collect::<Result<_, _>>()?;
+        Ok(Outlet { topic, publisher, wakes, last_send_ns: Cell::new(0) })
+    }
+
+    /// The right to hear messages of one kind, as a participant.
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn inlet<M: Message>(&self) -> Result<Inlet<M>, BusError> {
+        self.inlet_with_buffer(M::TOPIC.buffer)
+    }
+
+    /// The right to hear messages of one kind, as an observer that may lag behind.
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn observe<M: Message>(&self) -> Result<Inlet<M>, BusError> {
+        self.inlet_with_buffer(OBSERVER_BUFFER)
+    }
+
+    fn inlet_with_buffer<M: Message>(&self, buffer: usize) -> Result<Inlet<M>, BusError> {
+        let subscriber = self
+            .topic::<M>(false)?
+            .subscriber_builder()
+            .buffer_size(buffer)
+            .create()
+            .map_err(refused(format!("subscribe to {}", M::TOPIC.name)))?;
+        Ok(Inlet { subscriber })
+    }
+
+    fn notifier(&self, role: WakeRole) -> Result<Notifier<ipc::Service>, BusError> {
+        self.node
+            .service_builder(&service_name(role.event_name()))
+            .event()
+            .open()
+            .map_err(refused(format!("open the event {}", role.event_name())))?
+            .notifier_builder()
+            .create()
+            .map_err(refused(format!("notify on {}", role.event_name())))
+    }
+
+    /// What wakes this process, in its role.
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn alarm(&self, role: WakeRole) -> Result<Alarm, BusError> {
+        let listener = self
+            .node
+            .service_builder(&service_name(role.event_name()))
+            .event()
+            .open()
+            .map_err(refused(format!("open the event {}", role.event_name())))?
+            .listener_builder()
+            .create()
+            .map_err(refused(format!("listen on {}", role.event_name())))?;
+        Ok(Alarm { listener })
+    }
+
+    /// Lets every publisher of this process meet readers that came since, and hand them its history.
+    pub fn look_for_readers(&self) {
+        for outlet in self.outlets.borrow().iter() {
+            outlet.look_for_readers();
+        }
+    }
+
+    /// Removes what dead processes of the run left on the bus. May hang on half-made files: only for a
+    /// process that somebody will kill if it does.
+    pub fn clean_dead_nodes(&self) {
+        self.node.blocking_cleanup_dead_nodes(Duration::from_millis(500));
+    }
+}
+
+/// What wakes a process that sleeps.
+#[derive(Debug)]
+pub struct Alarm {
+    listener: Listener<ipc::Service>,
+}
+
+impl Alarm {
+    /// Sleeps until somebody notifies, or for `at_most`. May also return for no reason.
+    pub fn wait(&self, at_most: Duration) {
+        let _ = self.listener.timed_wait(|_| {}, at_most);
+    }
+
+    /// Forgets the notifications that have come.
+    pub fn clear(&self) {
+        let _ = self.listener.try_wait(|_| {});
+    }
+}
+
+impl AsFd for Alarm {
+    /// Readable when somebody notifies.
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        // SAFETY: the descriptor is the listener's, which lives as long as the borrow.
+        #[allow(unsafe_code)]
+        unsafe {
+            BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle())
+        }
+    }
+}
+
+/// The right to send messages of one kind.
+pub struct Outlet<M: Message> {
+    topic: PortFactory<ipc::Service, [M], M::Header>,
+    publisher: Rc<Publisher<ipc::Service, [M], M::Header>>,
+    wakes: Vec<Notifier<ipc::Service>>,
+    last_send_ns: Cell<u64>,
+}
+
+impl<M: Message> Outlet<M> {
+    /// Whether anybody hears: a topic for observers alone costs nothing without one.
+    pub fn has_readers(&self) -> bool {
+        self.topic.dynamic_config().number_of_subscribers() > 0
+    }
+
+    /// Sends one message of `len` elements, each written in place by `write`, and wakes its readers if
+    /// they may sleep.
+    ///
+    /// Readers sleep only after [`SLEEPS_AFTER_NS`] without a message. If the last one is younger than
+    /// that even now, behind this send, they have not slept in between, and will find this one.
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn send(
+        &self,
+        header: M::Header,
+        len: usize,
+        write: impl FnMut(usize) -> M,
+    ) -> Result<(), BusError> {
+        let before_ns = now_ns();
+        self.send_quietly(header, len, write)?;
+        if now_ns() - self.last_send_ns.replace(before_ns) >= SLEEPS_AFTER_NS {
+            for notifier in &self.wakes {
+                // Nobody may be listening, which is no mistake.
+                let _ = notifier.notify();
+            }
+        }
+        Ok(())
+    }
+
+    /// As [`Outlet::send`], without waking anybody.
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn send_quietly(
+        &self,
+        header: M::Header,
+        len: usize,
+        write: impl FnMut(usize) -> M,
+    ) -> Result<(), BusError> {
+        let mut sample = self
+            .publisher
+            .loan_slice_uninit(len)
+            .map_err(refused(format!("loan {len} elements of {}", M::TOPIC.name)))?;
+        *sample.user_header_mut() = header;
+        sample
+            .write_from_fn(write)
+            .send()
+            .map_err(refused(format!("send on {}", M::TOPIC.name)))?;
+        Ok(())
+    }
+}
+
+/// The right to hear messages of one kind.
+pub struct Inlet<M: Message> {
+    subscriber: Subscriber<ipc::Service, [M], M::Header>,
+}
+
+impl<M: Message> Inlet<M> {
+    /// The oldest message that was not taken yet.
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn receive(&self) -> Result<Option<Received<M>>, BusError> {
+        let sample = self
+            .subscriber
+            .receive()
+            .map_err(refused(format!("receive from {}", M::TOPIC.name)))?;
+        Ok(sample.map(|sample| Received { sample }))
+    }
+
+    /// The newest message; older ones are dropped.
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn receive_newest(&self) -> Result<Option<Received<M>>, BusError> {
+        let mut newest = None;
+        while let Some(received) = self.receive()? {
+            newest = Some(received);
+        }
+        Ok(newest)
+    }
+}
+
+/// A message in shared memory, read in place; gone for the sender once it is dropped.
+pub struct Received<M: Message> {
+    sample: Sample<ipc::Service, [M], M::Header>,
+}
+
+impl<M: Message> Received<M> {
+    /// The message's header.
+    pub fn header(&self) -> M::Header {
+        *self.sample.user_header()
+    }
+
+    /// The message's elements.
+    pub fn items(&self) -> &[M] {
+        self.sample.payload()
+    }
+}
+
+fn service_name(name: &str) -> ServiceName {
+    ServiceName::new(name).expect("topic names are short and not empty")
+}
+
+fn transport_config(names: &RunNames) -> Result<Config, BusError> {
+    let mut config = Config::default();
+    let global = &mut config.global;
+    global.prefix = FileName::new(names.prefix().as_bytes()).map_err(refused("name the run"))?;
+    let root = Path::new(names.root.as_os_str().as_encoded_bytes())
+        .map_err(refused(format!("use the folder {}", names.root.display())))?;
+    global.set_root_path(&root);
+    // The orchestrator alone cleans, in a helper process: whoever cleans may hang on half-made files.
+    global.node.cleanup_dead_nodes_on_creation = false;
+    global.node.cleanup_dead_nodes_on_destruction = false;
+    global.service.cleanup_dead_nodes_on_open = false;
+    Ok(config)
+}
+
+/// The transport's management segment is born open to all; nobody else has business there.
+fn tighten_global_management(names: &RunNames) {
+    for name in crate::run::segments_of(names.run) {
+        if name.ends_with(".global_mgmt") {
+            let path = std::path::Path::new("/dev/shm").join(name);
+            let _ = fs::set_permissions(path, fs::Permissions::from_mode(0o600));
+        }
+    }
+}

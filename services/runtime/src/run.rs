@@ -1,0 +1,182 @@
+//! A run: its names, its private folder, and how they reach its processes.
+//!
+//! Each run has its own random prefix for names in `/dev/shm`, and its own folder for everything else the
+//! transport keeps, so that runs never meet and can be removed whole.
+
+use std::ffi::OsString;
+use std::fs;
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+/// Name of the file in a run's folder that its orchestrator keeps locked for as long as it lives.
+pub const LOCK_FILE: &str = "lock";
+
+/// What names a run on its machine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RunNames {
+    /// The run's number; every message carries it.
+    pub run: u64,
+    /// Private folder of the transport's files.
+    pub root: PathBuf,
+}
+
+impl RunNames {
+    /// A new run's names, its private folder made.
+    ///
+    /// # Errors
+    /// If the folder cannot be made, or belongs to another user.
+    pub fn create() -> io::Result<Self> {
+        // Each RandomState is keyed afresh from the system's randomness.
+        let run = RandomState::new().build_hasher().finish() | 1;
+        let base = base_folder();
+        make_private(&base)?;
+        let root = base.join(format!("{run:016x}"));
+        make_private(&root)?;
+        Ok(Self { run, root })
+    }
+
+    /// Prefix of the run's names in `/dev/shm`.
+    pub fn prefix(&self) -> String {
+        prefix(self.run)
+    }
+
+    /// Removes everything of the run: its segments, its folder, and the folder above if that is empty.
+    pub fn remove(&self) {
+        remove_segments(&self.prefix());
+        let _ = fs::remove_dir_all(&self.root);
+        if let Some(base) = self.root.parent() {
+            let _ = fs::remove_dir(base);
+        }
+    }
+}
+
+/// Prefix of a run's names in `/dev/shm`.
+pub fn prefix(run: u64) -> String {
+    format!("pathtune_{run:016x}_")
+}
+
+/// The run whose prefix a name in `/dev/shm` carries.
+fn run_of_segment(name: &str) -> Option<u64> {
+    let digits = name.strip_prefix("pathtune_")?.get(..16)?;
+    u64::from_str_radix(digits, 16).ok()
+}
+
+/// The folder that holds the runs of this user.
+pub fn base_folder() -> PathBuf {
+    match std::env::var_os("XDG_RUNTIME_DIR").filter(|folder| !folder.is_empty()) {
+        // A socket's path has room for 108 bytes: a long runtime folder leaves none for its name.
+        Some(folder) if folder.len() <= 32 && Path::new(&folder).is_dir() => {
+            PathBuf::from(folder).join("pathtune")
+        }
+        _ => {
+            let mut name = OsString::from("pathtune-");
+            name.push(rustix::process::geteuid().as_raw().to_string());
+            PathBuf::from("/tmp").join(name)
+        }
+    }
+}
+
+/// Makes a folder that only this user can enter, or checks that it is one.
+fn make_private(folder: &Path) -> io::Result<()> {
+    match fs::DirBuilder::new().mode(0o700).create(folder) {
+        Ok(()) => return Ok(()),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+        Err(error) => return Err(error),
+    }
+    let meta = fs::symlink_metadata(folder)?;
+    let refused = |why: &str| {
+        let message = format!("{} {why}; remove it, or set XDG_RUNTIME_DIR", folder.display());
+        Err(io::Error::new(io::ErrorKind::PermissionDenied, message))
+    };
+    if !meta.is_dir() {
+        return refused("is not a folder");
+    }
+    if meta.uid() != rustix::process::geteuid().as_raw() {
+        return refused("belongs to another user");
+    }
+    if meta.mode() & 0o077 != 0 {
+        fs::set_permissions(folder, fs::Permissions::from_mode(0o700))?;
+    }
+    Ok(())
+}
+
+fn remove_segments(prefix: &str) {
+    for name in segments() {
+        if name.starts_with(prefix) {
+            let _ = fs::remove_file(Path::new("/dev/shm").join(name));
+        }
+    }
+}
+
+/// Names in `/dev/shm`.
+fn segments() -> Vec<String> {
+    let Ok(entries) = fs::read_dir("/dev/shm") else { return Vec::new() };
+    entries.flatten().filter_map(|entry| entry.file_name().into_string().ok()).collect()
+}
+
+/// Removes what dead runs of this user left behind, and tells which runs those were.
+///
+/// A run is alive exactly as long as its orchestrator holds the lock in its folder.
+pub fn sweep_dead_runs() -> Vec<u64> {
+    let base = base_folder();
+    let mut swept = Vec::new();
+    let Ok(entries) = fs::read_dir(&base) else { return swept };
+    let mut alive = Vec::new();
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let Some(run) = name.to_str().and_then(|name| u64::from_str_radix(name, 16).ok()) else {
+            continue;
+        };
+        if is_dead(&entry.path()) {
+            RunNames { run, root: entry.path() }.remove();
+            swept.push(run);
+        } else {
+            alive.push(run);
+        }
+    }
+    swept
+}
+
+fn is_dead(root: &Path) -> bool {
+    match fs::File::open(root.join(LOCK_FILE)) {
+        Ok(file) => file.try_lock().is_ok(),
+        // Just being made, or never finished: dead once it is old enough.
+        Err(_) => fs::metadata(root)
+            .and_then(|meta| meta.modified())
+            .ok()
+            .and_then(|made| made.elapsed().ok())
+            .is_some_and(|age| age.as_secs() > 10),
+    }
+}
+
+/// Names in `/dev/shm` that belong to a run.
+pub fn segments_of(run: u64) -> Vec<String> {
+    segments().into_iter().filter(|name| run_of_segment(name) == Some(run)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_prefix_names_its_run() {
+        assert_eq!(run_of_segment(&format!("{}rest", prefix(0xab))), Some(0xab));
+        assert_eq!(run_of_segment("iox2_1234"), None);
+        assert_eq!(run_of_segment("pathtune_é"), None);
+    }
+
+    #[test]
+    fn a_private_folder_is_closed_and_no_link_is_taken_for_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = folder.path().join("open");
+        fs::create_dir(&open).unwrap();
+        fs::set_permissions(&open, fs::Permissions::from_mode(0o755)).unwrap();
+        make_private(&open).unwrap();
+        assert_eq!(fs::metadata(&open).unwrap().mode() & 0o777, 0o700);
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink(&open, &link).unwrap();
+        assert!(make_private(&link).unwrap_err().to_string().contains("is not a folder"));
+    }
+}

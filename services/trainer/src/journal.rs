@@ -1,0 +1,242 @@
+//! The journal: every step of a training, one line each, written before the next one is proposed.
+//!
+//! A line is a CRC-32 in eight hexadecimal digits, a space, and a JSON object; the first names the
+//! configuration. A last line that was torn by a crash is cut off; a damaged line before it is an error.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use config::GridPosition;
+use serde::{Deserialize, Serialize};
+
+use crate::training::Step;
+use crate::{DriveRecord, Training};
+
+/// A journal that cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say it")]
+pub enum JournalError {
+    #[error("failed to use the journal {path}: {source}")]
+    Io { path: PathBuf, source: io::Error },
+    #[error("the journal {path} is damaged at byte {offset}: {problem}; take it from a backup, or train anew")]
+    Damaged { path: PathBuf, offset: usize, problem: String },
+    #[error("the journal {path} belongs to another configuration; resume with the one it was made with")]
+    Foreign { path: PathBuf },
+}
+
+#[derive(Debug, Serialize, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+struct Opening {
+    journal: u32,
+    configuration: String,
+}
+
+const VERSION: u32 = 1;
+
+#[derive(Debug, Serialize, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+struct Record {
+    learner: u32,
+    step: u32,
+    set: GridPosition,
+    remembered: bool,
+    drive: DriveRecord,
+}
+
+/// A journal, open for more.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: File,
+    unwritten: Vec<u8>,
+}
+
+impl Journal {
+    /// Opens or starts the journal of a training, and replays into `training` what it holds.
+    /// `configuration` is a hash of everything that decides the training.
+    ///
+    /// # Errors
+    /// If the file cannot be used, is damaged before its last line, or belongs to another configuration.
+    pub fn open(
+        path: &Path,
+        configuration: &str,
+        training: &mut Training,
+    ) -> Result<Self, JournalError> {
+        let io = |source| JournalError::Io { path: path.to_owned(), source };
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)
+            .map_err(io)?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).map_err(io)?;
+        let whole = replay(path, &bytes, configuration, training)?;
+        if whole < bytes.len() {
+            tracing::warn!(bytes = bytes.len() - whole, "cut a torn record off the journal");
+            file.set_len(whole as u64).map_err(io)?;
+        }
+        file.seek(SeekFrom::Start(whole as u64)).map_err(io)?;
+        let mut journal = Self { path: path.to_owned(), file, unwritten: Vec::new() };
+        if whole == 0 {
+            journal.add(&Opening { journal: VERSION, configuration: configuration.to_owned() });
+        }
+        Ok(journal)
+    }
+
+    /// Notes a step; [`Journal::write`] brings it to the file.
+    pub fn note(&mut self, step: &Step) {
+        let Step { wanted, drive, remembered } = *step;
+        let (learner, step, set) = (wanted.learner, wanted.step, wanted.position);
+        self.add(&Record { learner, step, set, remembered, drive });
+    }
+
+    fn add(&mut self, record: &impl Serialize) {
+        let json = serde_json::to_vec(record).expect("records are plain, and their numbers finite");
+        let line = format!("{:08x} ", crc32fast::hash(&json));
+        self.unwritten.extend_from_slice(line.as_bytes());
+        self.unwritten.extend_from_slice(&json);
+        self.unwritten.push(b'\n');
+    }
+
+    /// Writes what was noted: a crash of the process loses none of it any more.
+    ///
+    /// # Errors
+    /// If the disk does not take it.
+    pub fn write(&mut self) -> Result<(), JournalError> {
+        let result = self.file.write_all(&self.unwritten);
+        self.unwritten.clear();
+        result.map_err(|source| JournalError::Io { path: self.path.clone(), source })
+    }
+
+    /// Brings what was written onto the disk: a power cut loses none of it any more.
+    ///
+    /// # Errors
+    /// If the disk does not take it.
+    pub fn sync(&mut self) -> Result<(), JournalError> {
+        self.file
+            .sync_data()
+            .map_err(|source| JournalError::Io { path: self.path.clone(), source })
+    }
+}
+
+/// Replays the whole lines; returns where the last one ends.
+fn replay(
+    path: &Path,
+    bytes: &[u8],
+    configuration: &str,
+    training: &mut Training,
+) -> Result<usize, JournalError> {
+    let mut offset = 0;
+    while offset < bytes.len() {
+        let damaged = |problem: &str| {
+            let problem = problem.to_owned();
+            JournalError::Damaged { path: path.to_owned(), offset, problem }
+        };
+        let rest = &bytes[offset..];
+        // Lines are written whole, so only the last one can be torn: it lacks its end.
+        let Some(length) = rest.iter().position(|byte| *byte == b'\n') else { return Ok(offset) };
+        let line = &rest[..length];
+        let json = checked(line).ok_or_else(|| damaged("its checksum does not fit"))?;
+        if offset == 0 {
+            let opening: Opening = serde_json::from_slice(json)
+                .map_err(|_| damaged("it does not begin as a journal does"))?;
+            if opening != (Opening { journal: VERSION, configuration: configuration.to_owned() }) {
+                return Err(JournalError::Foreign { path: path.to_owned() });
+            }
+        } else {
+            let record: Record = serde_json::from_slice(json)
+                .map_err(|error| damaged(&format!("not a record: {error}")))?;
+            if !record.drive.is_plausible() {
+                return Err(damaged("a drive with impossible numbers"));
+            }
+            let step = training.take(record.learner, record.step, record.drive);
+            if step.is_none_or(|step| step.wanted.position != record.set) {
+                return Err(damaged("a step that the training does not make"));
+            }
+        }
+        offset += length + 1;
+    }
+    Ok(offset)
+}
+
+fn checked(line: &[u8]) -> Option<&[u8]> {
+    let (digits, rest) = line.split_at_checked(8)?;
+    let json = rest.strip_prefix(b" ")?;
+    let sum = u32::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?;
+    (crc32fast::hash(json) == sum).then_some(json)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::digest::digest;
+    use config::{Layers, RunConfig};
+    use rollout::Rollout;
+    use std::fs;
+
+    fn config() -> RunConfig {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        for set in ["learning.episodes=3", "learning.step_limit=8", "run.alphas=[0.1,0.5]"] {
+            layers.set(set).unwrap();
+        }
+        layers.resolve().unwrap()
+    }
+
+    /// Trains on from wherever the journal stands; returns the digest.
+    fn train(path: &Path, config: &RunConfig, most_drives: usize) -> Result<String, JournalError> {
+        let mut training = Training::new(config);
+        let mut journal = Journal::open(path, "c", &mut training)?;
+        let mut rollout = Rollout::new(config);
+        for _ in 0..most_drives {
+            training.remember(|step| journal.note(step));
+            let Some(wanted) = training.wanted().first().copied() else { break };
+            let drive = rollout.drive(config.grid.gains(wanted.position), None).into();
+            let step = training.take(wanted.learner, wanted.step, drive).unwrap();
+            journal.note(&step);
+            journal.write()?;
+        }
+        Ok(digest(&training))
+    }
+
+    #[test]
+    fn every_cut_of_the_journal_goes_on_to_the_same_digest() {
+        let folder = tempfile::tempdir().unwrap();
+        let (whole, cut) = (folder.path().join("whole"), folder.path().join("cut"));
+        let config = config();
+        let wanted = train(&whole, &config, usize::MAX).unwrap();
+        let bytes = fs::read(&whole).unwrap();
+        assert!(bytes.len() > 4096);
+        for length in (0..=bytes.len()).rev().take(1500).step_by(7) {
+            fs::write(&cut, &bytes[..length]).unwrap();
+            assert_eq!(train(&cut, &config, usize::MAX).unwrap(), wanted, "cut at {length}");
+        }
+    }
+
+    #[test]
+    fn damage_in_the_middle_is_named_by_its_offset() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal");
+        train(&path, &config(), 20).unwrap();
+        let bytes = fs::read(&path).unwrap();
+        for at in (0..bytes.len() - 200).step_by(11) {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 1;
+            fs::write(&path, &damaged).unwrap();
+            let error = train(&path, &config(), 0).unwrap_err().to_string();
+            assert!(error.contains("byte") || error.contains("another configuration"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_journal_of_another_configuration_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal");
+        train(&path, &config(), 3).unwrap();
+        let mut training = Training::new(&config());
+        let error = Journal::open(&path, "d", &mut training).unwrap_err();
+        assert!(matches!(error, JournalError::Foreign { .. }));
+    }
+}
