@@ -37,9 +37,9 @@ pub struct BusError {
     cause: String,
 }
 
-fn refused<E: std::fmt::Debug>(action: impl Into<String>) -> impl FnOnce(E) -> BusError {
-    let action = action.into();
-    move |cause| BusError { action, cause: format!("{cause:?}") }
+/// Says what was asked for; put into words only if it was refused.
+fn refused<E: std::fmt::Debug>(action: impl FnOnce() -> String) -> impl FnOnce(E) -> BusError {
+    move |cause| BusError { action: action(), cause: format!("{cause:?}") }
 }
 
 /// One process's place on the bus of a run.
@@ -87,7 +87,7 @@ impl Bus {
                 .max_nodes(MAX_NODES)
                 .event_id_max_value(0)
                 .create()
-                .map_err(refused(format!("create the event {}", role.event_name())))?;
+                .map_err(refused(|| format!("create the event {}", role.event_name())))?;
             held.push(Box::new(event));
         }
         bus.held = held;
@@ -103,7 +103,7 @@ impl Bus {
             .config(&transport_config(names)?)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
-            .map_err(refused("join the run"))?;
+            .map_err(refused(|| "join the run".to_owned()))?;
         Ok(Self { node, max_len, held: Vec::new(), outlets: RefCell::default() })
     }
 
@@ -128,9 +128,9 @@ impl Bus {
                 // A reader that stalls loses its own samples; it never stops the loop.
                 .enable_safe_overflow(true)
                 .create()
-                .map_err(refused(format!("create the topic {}", topic.name)))
+                .map_err(refused(|| format!("create the topic {}", topic.name)))
         } else {
-            builder.open().map_err(refused(format!("open the topic {}", topic.name)))
+            builder.open().map_err(refused(|| format!("open the topic {}", topic.name)))
         }
     }
 
@@ -139,14 +139,13 @@ impl Bus {
     /// # Errors
     /// If somebody else has it, or the transport refuses.
     pub fn outlet<M: Message>(&self) -> Result<Outlet<M>, BusError> {
-        let action = || format!("publish on {}", M::TOPIC.name);
         let topic = self.topic::<M>(false)?;
         let publisher = topic
             .publisher_builder()
             .initial_max_slice_len(self.max_len)
             .max_loaned_samples(1)
             .create()
-            .map_err(refused(action()))?;
+            .map_err(refused(|| format!("publish on {}", M::TOPIC.name)))?;
         let publisher = Rc::new(publisher);
         self.outlets.borrow_mut().push(publisher.clone());
         let wakes =
@@ -176,7 +175,7 @@ impl Bus {
             .subscriber_builder()
             .buffer_size(buffer)
             .create()
-            .map_err(refused(format!("subscribe to {}", M::TOPIC.name)))?;
+            .map_err(refused(|| format!("subscribe to {}", M::TOPIC.name)))?;
         Ok(Inlet { subscriber })
     }
 
@@ -185,10 +184,10 @@ impl Bus {
             .service_builder(&service_name(role.event_name()))
             .event()
             .open()
-            .map_err(refused(format!("open the event {}", role.event_name())))?
+            .map_err(refused(|| format!("open the event {}", role.event_name())))?
             .notifier_builder()
             .create()
-            .map_err(refused(format!("notify on {}", role.event_name())))
+            .map_err(refused(|| format!("notify on {}", role.event_name())))
     }
 
     /// What wakes this process, in its role.
@@ -201,10 +200,10 @@ impl Bus {
             .service_builder(&service_name(role.event_name()))
             .event()
             .open()
-            .map_err(refused(format!("open the event {}", role.event_name())))?
+            .map_err(refused(|| format!("open the event {}", role.event_name())))?
             .listener_builder()
             .create()
-            .map_err(refused(format!("listen on {}", role.event_name())))?;
+            .map_err(refused(|| format!("listen on {}", role.event_name())))?;
         Ok(Alarm { listener })
     }
 
@@ -303,12 +302,12 @@ impl<M: Message> Outlet<M> {
         let mut sample = self
             .publisher
             .loan_slice_uninit(len)
-            .map_err(refused(format!("loan {len} elements of {}", M::TOPIC.name)))?;
+            .map_err(refused(|| format!("loan {len} elements of {}", M::TOPIC.name)))?;
         *sample.user_header_mut() = header;
         sample
             .write_from_fn(write)
             .send()
-            .map_err(refused(format!("send on {}", M::TOPIC.name)))?;
+            .map_err(refused(|| format!("send on {}", M::TOPIC.name)))?;
         Ok(())
     }
 }
@@ -327,7 +326,7 @@ impl<M: Message> Inlet<M> {
         let sample = self
             .subscriber
             .receive()
-            .map_err(refused(format!("receive from {}", M::TOPIC.name)))?;
+            .map_err(refused(|| format!("receive from {}", M::TOPIC.name)))?;
         Ok(sample.map(|sample| Received { sample }))
     }
 
@@ -368,9 +367,9 @@ fn service_name(name: &str) -> ServiceName {
 fn transport_config(names: &RunNames) -> Result<Config, BusError> {
     let mut config = Config::default();
     let global = &mut config.global;
-    global.prefix = FileName::new(names.prefix().as_bytes()).map_err(refused("name the run"))?;
+    global.prefix = FileName::new(names.prefix().as_bytes()).map_err(refused(|| "name the run".to_owned()))?;
     let root = Path::new(names.root.as_os_str().as_encoded_bytes())
-        .map_err(refused(format!("use the folder {}", names.root.display())))?;
+        .map_err(refused(|| format!("use the folder {}", names.root.display())))?;
     global.set_root_path(&root);
     // The orchestrator alone cleans, in a helper process: whoever cleans may hang on half-made files.
     global.node.cleanup_dead_nodes_on_creation = false;
