@@ -1,0 +1,156 @@
+//! Bad input: one clear line, exit code 64, and nothing left behind.
+
+mod support;
+
+use std::fs;
+
+use support::Sandbox;
+
+/// Runs with bad input; the one line on stderr must hold all parts.
+fn check(sandbox: &Sandbox, args: &[&str], parts: &[&str]) {
+    let mut all = vec!["train"];
+    all.extend(args);
+    if !args.contains(&"--out") {
+        all.extend(["--out", "out"]);
+    }
+    let output = sandbox.run(&all);
+    let stderr = String::from_utf8(output.stderr.clone()).unwrap();
+    assert_eq!(output.status.code(), Some(64), "{all:?}: {stderr}");
+    assert_eq!(stderr.trim_end().lines().count(), 1, "{all:?}: {stderr}");
+    for part in parts {
+        assert!(stderr.contains(part), "{all:?}: {part:?} is missing in {stderr:?}");
+    }
+    assert!(!sandbox.path("out").exists(), "{all:?} left its folder");
+    sandbox.assert_clean();
+}
+
+#[test]
+fn mistakes_in_options() {
+    let sandbox = Sandbox::new();
+    check(&sandbox, &["lane_chnage"], &["lane_chnage", "did you mean lane_change?"]);
+    check(&sandbox, &["lane_change", "--alphas", "0.1,1.5"], &["--alphas", "1.5", "(0, 1]"]);
+    check(&sandbox, &["lane_change", "--alphas", "0"], &["--alphas", "0", "(0, 1]"]);
+    check(&sandbox, &["lane_change", "--alphas", "nan"], &["--alphas", "NaN"]);
+    check(&sandbox, &["lane_change", "--episodes", "0"], &["--episodes", "[1, 100000]"]);
+    check(&sandbox, &["lane_change", "--set", "learning.gama=1"], &["learning.gama", "learning.gamma"]);
+    check(&sandbox, &["lane_change", "--set", "drive.tick_s=1.0"], &["drive.tick_s", "[0.001, 0.1]"]);
+    check(&sandbox, &["lane_change", "--config", "none.toml"], &["none.toml"]);
+    check(
+        &sandbox,
+        &["lane_change", "--replace", "vehicle=/no/such/program --fast"],
+        &["vehicle", "/no/such/program", "not an executable"],
+    );
+    check(&sandbox, &["lane_change", "--replace", "pilot=x"], &["pilot", "vehicle"]);
+    check(&sandbox, &["lane_change", "--replace", "vehicle='unclosed"], &["vehicle", "quote"]);
+}
+
+#[test]
+fn mistakes_of_the_command_line_itself_have_the_same_code() {
+    let sandbox = Sandbox::new();
+    for args in [&["train"][..], &["train", "lane_change", "--fleet", "x"], &["fly"], &[]] {
+        let output = sandbox.run(args);
+        assert_eq!(output.status.code(), Some(64), "{args:?}");
+        assert!(!output.stderr.is_empty());
+    }
+    assert!(sandbox.run(&["--help"]).status.success());
+    assert!(sandbox.run(&["train", "--help"]).status.success());
+}
+
+#[test]
+fn mistakes_in_files() {
+    let sandbox = Sandbox::new();
+    let file = |text: &str, parts: &[&str]| {
+        fs::write(sandbox.path("my.toml"), text).unwrap();
+        check(&sandbox, &["lane_change", "--config", "my.toml"], parts);
+    };
+    file("[learning]\nepisodes = 3\nepsilon = 1\n", &["my.toml:3", "learning.epsilon"]);
+    file("[grid]\nkv = { min = 3.0, max = 1.0, step = 0.5 }", &["my.toml:2", "kv", "reversed"]);
+    file("[grid]\nkv = { min = 1.0, max = 2.0, step = 0.0 }", &["my.toml:2", "kv", "step"]);
+    file("[grid]\nkv = []", &["my.toml:2", "kv"]);
+    file("seed = [", &["my.toml:1"]);
+    file("\u{0}\u{1}", &["my.toml:1"]);
+    let launch = |text: &str, parts: &[&str]| {
+        fs::write(sandbox.path("launch.toml"), text).unwrap();
+        check(&sandbox, &["lane_change", "--launch", "launch.toml"], parts);
+    };
+    launch("[[process]]\nrole = 'vehicle'\nspeed = 3", &["launch.toml:3", "speed"]);
+    launch("[[process]]\nrole = 'vehicle'", &["launch.toml", "supervisor"]);
+}
+
+#[test]
+fn folders_that_cannot_be_used() {
+    let sandbox = Sandbox::new();
+    fs::create_dir(sandbox.path("full")).unwrap();
+    fs::write(sandbox.path("full/file"), "kept").unwrap();
+    check(&sandbox, &["lane_change", "--out", "full"], &["full", "holds files"]);
+    assert_eq!(fs::read_to_string(sandbox.path("full/file")).unwrap(), "kept");
+    check(&sandbox, &["lane_change", "--out", "full/file"], &["full/file"]);
+    check(&sandbox, &["lane_change", "--out", "full/file/below"], &["full/file/below"]);
+    check(&sandbox, &["lane_change", "--out", "/proc/nothing"], &["/proc/nothing"]);
+}
+
+#[test]
+fn a_shared_memory_that_is_too_small() {
+    let sandbox = Sandbox::new();
+    // A mount of our own, where this user may make one.
+    let script = format!(
+        "mount -t tmpfs -o size=1m tmpfs /dev/shm || exit 99; exec {} train lane_change --out out",
+        env!("CARGO_BIN_EXE_pathtune")
+    );
+    let output = std::process::Command::new("unshare")
+        .args(["--mount", "--map-root-user", "sh", "-c", &script])
+        .current_dir(sandbox.path("."))
+        .env("XDG_RUNTIME_DIR", sandbox.path("r"))
+        .output();
+    let skipped = "SKIPPED a_shared_memory_that_is_too_small: needs unshare and mounts";
+    let Ok(output) = output else { return skip(skipped) };
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    if output.status.code() == Some(99) || stderr.contains("unshare") {
+        return skip(skipped);
+    }
+    assert_eq!(output.status.code(), Some(64), "{stderr}");
+    for part in ["/dev/shm is too small", "needs", "MiB"] {
+        assert!(stderr.contains(part), "{stderr}");
+    }
+    assert!(!sandbox.path("out").exists());
+    sandbox.assert_clean();
+}
+
+/// Skips by name; where CI has installed everything, a skip is a failure.
+fn skip(message: &str) {
+    assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{message}");
+    eprintln!("{message}");
+}
+
+#[test]
+fn a_replacement_that_never_works_ends_within_its_budget() {
+    let sandbox = Sandbox::new();
+    let output = sandbox.run(&[
+        "train",
+        "lane_change",
+        "--replace",
+        "controller=sh -c 'echo out of petrol; exit 3'",
+        "--out",
+        "out",
+    ]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(70), "{stderr}");
+    let last = stderr.trim_end().lines().last().unwrap();
+    for part in ["gave up", "controller", "exit code 3", "out of petrol", "controller.log"] {
+        assert!(last.contains(part), "{part:?} is missing in {last:?}");
+    }
+    sandbox.assert_clean();
+}
+
+#[test]
+fn presets_are_shown_and_written() {
+    let sandbox = Sandbox::new();
+    let shown = String::from_utf8(sandbox.run(&["config", "show"]).stdout).unwrap();
+    assert!(shown.contains("[learning]") && shown.contains("wheelbase_m"));
+    let one = String::from_utf8(sandbox.run(&["config", "show", "roundabout"]).stdout).unwrap();
+    assert!(one.contains("radius_m = 18.0") && !one.contains("wheelbase_m"));
+    assert_eq!(sandbox.run(&["config", "show", "nothing"]).status.code(), Some(64));
+    assert!(sandbox.run(&["config", "init", "mine"]).status.success());
+    assert!(sandbox.path("mine/maneuvers/lane_change.toml").exists());
+    assert_eq!(sandbox.run(&["config", "init", "mine"]).status.code(), Some(64));
+}

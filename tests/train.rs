@@ -1,0 +1,204 @@
+//! Trainings from outside: results, processes, digests, endings.
+
+mod support;
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use config::{Layers, RunConfig};
+use rustix::process::Signal;
+use serde_json::Value;
+use support::{Sandbox, signal};
+
+/// A training of a second, that drives every step.
+const SHORT: [&str; 4] = ["lane_change", "--episodes", "5", "--no-memo"];
+
+fn config(maneuver: &str, sets: &[&str]) -> RunConfig {
+    let mut layers = Layers::maneuver(maneuver).unwrap();
+    for set in sets {
+        layers.set(set).unwrap();
+    }
+    layers.resolve().unwrap()
+}
+
+fn digest(result: &Value) -> &str {
+    result["digest"].as_str().unwrap()
+}
+
+#[test]
+fn both_maneuvers_train_to_what_plain_calls_make_of_them() {
+    for maneuver in ["lane_change", "roundabout"] {
+        let sandbox = Sandbox::new();
+        let result = sandbox.train("out", &[maneuver]);
+        // The oracle: the same training without a process or a byte of shared memory.
+        let oracle = trainer::train_by_rollout(&config(maneuver, &[]));
+        assert_eq!(digest(&result), trainer::digest(&oracle));
+        assert!(result["grid"]["rank_distance"].as_u64().unwrap() <= 6, "{}", result["grid"]);
+        assert_eq!(result["schema"], 1);
+        assert_eq!(result["maneuver"], maneuver);
+        assert_eq!(result["learners"].as_array().unwrap().len(), 5);
+        assert_eq!(result["drives"]["reissued"], 0);
+        let names: BTreeSet<&str> = result["processes"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|process| process["name"].as_str().unwrap())
+            .collect();
+        assert_eq!(names, BTreeSet::from(["simulator", "supervisor", "controller", "trainer"]));
+        for file in ["config.toml", "launch.toml", "journal", "logs/simulator.log"] {
+            assert!(sandbox.path("out").join(file).exists(), "{file} is missing");
+        }
+        sandbox.assert_clean();
+    }
+}
+
+#[test]
+fn services_are_processes_of_their_own_that_name_their_role() {
+    let sandbox = Sandbox::new();
+    let mut training = sandbox.start_training("out", &SHORT);
+    training.wait_until_it_drives();
+    let pids: BTreeSet<i32> = ["simulator", "supervisor", "controller", "trainer"]
+        .into_iter()
+        .map(|name| sandbox.service(name).unwrap_or_else(|| panic!("no {name}")))
+        .collect();
+    assert_eq!(pids.len(), 4);
+    training.succeed();
+    sandbox.assert_clean();
+}
+
+#[test]
+fn fleet_memory_and_repetition_change_no_byte() {
+    let sandbox = Sandbox::new();
+    let base = ["lane_change", "--episodes", "5"];
+    let train = |out: &str, more: &[&str]| {
+        let mut args = base.to_vec();
+        args.extend(more);
+        sandbox.train(out, &args)
+    };
+    let first = train("first", &[]);
+    for (out, more) in [
+        ("again", &[][..]),
+        ("alone", &["--fleet", "1"]),
+        ("three", &["--fleet", "3", "--no-memo"]),
+        ("wide", &["--fleet", "16", "--no-memo"]),
+    ] {
+        let other = train(out, more);
+        assert_eq!(digest(&other), digest(&first), "{out}");
+        assert_eq!(other["learners"], first["learners"], "{out}");
+    }
+    assert_ne!(digest(&train("seed", &["--seed", "2"])), digest(&first));
+    assert_ne!(digest(&train("alpha", &["--alphas", "0.1,0.3,0.5,0.7,0.8"])), digest(&first));
+    sandbox.assert_clean();
+}
+
+#[test]
+fn noise_is_seeded_by_learner_and_step() {
+    let sandbox = Sandbox::new();
+    let args = ["lane_change", "--episodes", "3", "--noise"];
+    let result = sandbox.train("out", &args);
+    let oracle =
+        trainer::train_by_rollout(&config("lane_change", &["learning.episodes=3", "noise.enabled=true"]));
+    assert_eq!(digest(&result), trainer::digest(&oracle));
+    let narrow = sandbox.train("narrow", &[&args[..], &["--fleet", "2"]].concat());
+    assert_eq!(digest(&narrow), digest(&result));
+}
+
+#[test]
+fn a_resolved_configuration_repeats_its_run() {
+    let sandbox = Sandbox::new();
+    let first = sandbox.train("first", &["roundabout", "--episodes", "3", "--seed", "9"]);
+    let again = sandbox.train("again", &["roundabout", "--config", "first/config.toml"]);
+    assert_eq!(digest(&first), digest(&again));
+}
+
+#[test]
+fn json_prints_the_result_and_nothing_else() {
+    let sandbox = Sandbox::new();
+    let output = sandbox.run(&["train", "lane_change", "--episodes", "2", "--json", "--out", "out"]);
+    assert!(output.status.success());
+    let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(printed, sandbox.result("out"));
+    assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn the_table_says_how_good_the_gains_are() {
+    let sandbox = Sandbox::new();
+    let output = sandbox.run(&["train", "lane_change", "--quiet"]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    for part in ["tuned", "plain Q", "the paper's set", "/750", "on a bound", "drives asked", "digest"] {
+        assert!(text.contains(part), "{part:?} is missing in\n{text}");
+    }
+    assert!(text.contains("/runs/lane_change-"), "{text}");
+}
+
+#[test]
+fn signals_end_a_training_in_order() {
+    for (sent, code) in [(Signal::INT, 130), (Signal::TERM, 143)] {
+        let sandbox = Sandbox::new();
+        let mut training = sandbox.start_training("out", &SHORT);
+        training.wait_until_it_drives();
+        signal(training.id(), sent);
+        let output = training.finish();
+        assert_eq!(output.status.code(), Some(code), "{}", sandbox.story("out", &output));
+        sandbox.assert_clean();
+    }
+}
+
+#[test]
+fn the_journal_stands_still_while_the_supervisor_is_frozen() {
+    let sandbox = Sandbox::new();
+    let mut training = sandbox.start_training("out", &["lane_change", "--no-memo"]);
+    training.wait_until_it_drives();
+    let supervisor = sandbox.service("supervisor").unwrap();
+    let length = || std::fs::metadata(sandbox.path("out/journal")).unwrap().len();
+    signal(supervisor, Signal::STOP);
+    // What was under way when it froze may still be written.
+    std::thread::sleep(Duration::from_millis(50));
+    let frozen = length();
+    std::thread::sleep(Duration::from_millis(250));
+    assert_eq!(length(), frozen, "drives are made without the supervisor");
+    signal(supervisor, Signal::CONT);
+    training.wait_for("the journal to go on", || length() > frozen);
+    signal(training.id(), Signal::INT);
+    training.finish();
+    sandbox.assert_clean();
+}
+
+#[test]
+fn every_service_may_be_killed_without_changing_a_byte() {
+    let sandbox = Sandbox::new();
+    let calm = sandbox.train("calm", &SHORT);
+    let mut training = sandbox.start_training("killed", &SHORT);
+    for name in ["simulator", "supervisor", "controller", "trainer"] {
+        training.wait_until_it_drives();
+        let pid = sandbox.service(name).unwrap_or_else(|| panic!("no {name}"));
+        signal(pid, Signal::KILL);
+        training.wait_for("the restart", || {
+            sandbox.service(name).is_some_and(|new| new != pid)
+        });
+    }
+    let result = training.succeed();
+    assert_eq!(digest(&result), digest(&calm));
+    assert_eq!(result["learners"], calm["learners"]);
+    for process in result["processes"].as_array().unwrap() {
+        assert_eq!(process["restarts"], 1, "{process}");
+    }
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_killed_orchestrator_takes_its_processes_along_and_the_next_one_sweeps() {
+    let sandbox = Sandbox::new();
+    let mut training = sandbox.start_training("out", &SHORT);
+    training.wait_until_it_drives();
+    signal(training.id(), Signal::KILL);
+    training.finish();
+    let until = std::time::Instant::now() + Duration::from_secs(5);
+    while !sandbox.processes().is_empty() {
+        assert!(std::time::Instant::now() < until, "orphans are left");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    sandbox.train("next", &["lane_change", "--episodes", "1"]);
+    sandbox.assert_clean();
+}
