@@ -5,7 +5,8 @@ use std::process::ExitCode;
 use clap::Parser;
 use clap::error::ErrorKind;
 use orchestrator::Failure;
-use orchestrator::cli::{Cli, Command, ServiceCommand};
+use orchestrator::cli::{Cli, Command, HopArg, ServiceCommand};
+use runtime::ring::Hop;
 
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
@@ -20,6 +21,7 @@ fn main() -> ExitCode {
     };
     let result = match cli.command {
         Command::Train(args) => orchestrator::train(&args),
+        Command::Bench(args) => orchestrator::bench(&args),
         Command::Config(command) => orchestrator::show_config(&command),
         Command::Service { service } => serve(service).map_err(Failure::from),
     };
@@ -38,6 +40,11 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
         ServiceCommand::Controller => controller::service::run(),
         ServiceCommand::Supervisor => supervisor::service::run(),
         ServiceCommand::Trainer => trainer::service::run(),
+        ServiceCommand::Ring { hop, rounds } => runtime::ring::run(match hop {
+            HopArg::First => Hop::First { rounds },
+            HopArg::Second => Hop::Second,
+            HopArg::Third => Hop::Third,
+        }),
         ServiceCommand::Cleaner => runtime::cleanup::run_helper(),
         ServiceCommand::Exec { words } => Err(orchestrator::process::exec(&words)),
     }

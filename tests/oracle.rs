@@ -8,6 +8,7 @@ mod support;
 
 use std::fs;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 use config::{Gains, RunConfig};
@@ -124,9 +125,10 @@ impl Comparer {
     }
 
     fn compare(&mut self, outcomes: &[DriveOutcome]) -> Result<()> {
-        let odometry = drain(&self.odometry)?;
-        let raw_commands = drain(&self.raw_commands)?;
-        let commands = drain(&self.commands)?;
+        let ticks = outcomes[0].report.ticks as usize;
+        let odometry = take(&self.odometry, ticks)?;
+        let raw_commands = take(&self.raw_commands, ticks)?;
+        let commands = take(&self.commands, ticks)?;
         for (slot, outcome) in outcomes.iter().enumerate() {
             let report = outcome.report;
             let index = self.compared + slot;
@@ -190,10 +192,15 @@ impl Service for Comparer {
     }
 }
 
-fn drain<M: ipc_types::Message>(inlet: &Inlet<M>) -> Result<Vec<Vec<M>>> {
+/// The next `count` messages. The report may overtake the last command, which goes one hop further.
+fn take<M: ipc_types::Message>(inlet: &Inlet<M>, count: usize) -> Result<Vec<Vec<M>>> {
     let mut all = Vec::new();
-    while let Some(message) = inlet.receive()? {
-        all.push(message.items().to_vec());
+    let until = Instant::now() + Duration::from_secs(5);
+    while all.len() < count {
+        ensure!(Instant::now() < until, "{} messages instead of {count}", all.len());
+        while let Some(message) = inlet.receive()? {
+            all.push(message.items().to_vec());
+        }
     }
     Ok(all)
 }

@@ -18,6 +18,8 @@ pub struct Cli {
 pub enum Command {
     /// Train a manoeuvre to its end, and say how good the gains are
     Train(TrainArgs),
+    /// Measure what a tick costs, beside a bare ring of the same bytes
+    Bench(BenchArgs),
     /// Show or write the presets
     #[command(subcommand)]
     Config(ConfigCommand),
@@ -87,6 +89,17 @@ pub struct TrainArgs {
     pub json: bool,
 }
 
+/// Options of `bench`.
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Measurements of each row
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub rounds: u32,
+    /// Print the rows as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// Who tunes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum TunerArg {
@@ -120,6 +133,12 @@ pub enum ServiceCommand {
     Controller,
     Supervisor,
     Trainer,
+    /// One process of the bare ring
+    Ring {
+        hop: HopArg,
+        #[arg(default_value_t = 0)]
+        rounds: u64,
+    },
     /// Cleans dead nodes off the bus, and ends
     Cleaner,
     /// Becomes a user's program
@@ -127,4 +146,13 @@ pub enum ServiceCommand {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
         words: Vec<String>,
     },
+}
+
+/// The place of a process in the bare ring.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs, reason = "numbered")]
+pub enum HopArg {
+    First,
+    Second,
+    Third,
 }

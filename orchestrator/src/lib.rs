@@ -5,6 +5,7 @@
 //!
 //! [`sequencer`] and [`restart`] decide, and are pure; [`process`] and [`pipeline`] act.
 
+mod bench;
 pub mod cli;
 mod cores;
 mod failure;
@@ -18,6 +19,7 @@ pub mod restart;
 pub mod sequencer;
 mod train;
 
+pub use bench::bench;
 pub use failure::Failure;
 pub use presets::show_config;
 pub use train::train;

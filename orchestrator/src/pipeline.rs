@@ -66,6 +66,10 @@ pub(crate) struct Pipeline<'a> {
     batch_is_broken: bool,
     /// The trainer has written its outcome.
     is_over: bool,
+    /// When the batch under way was issued; time and ticks of all batches before.
+    issued_ns: u64,
+    driving_ns: u64,
+    driving_ticks: u64,
     reaped_ns: u64,
     started_ns: u64,
     _core: Option<CoreClaim>,
@@ -141,6 +145,9 @@ impl<'a> Pipeline<'a> {
             interrupted,
             batch_is_broken: false,
             is_over: false,
+            issued_ns: 0,
+            driving_ns: 0,
+            driving_ticks: 0,
             reaped_ns: 0,
             started_ns: now_ns(),
             _core: core,
@@ -156,6 +163,7 @@ impl<'a> Pipeline<'a> {
             counts: self.sequencer.counts(),
             processes: self.members.iter().map(Member::facts).collect(),
             wall_s: (now_ns() - self.started_ns) as f64 / 1e9,
+            tick_ns: self.driving_ns as f64 / self.driving_ticks.max(1) as f64,
         })
     }
 
@@ -238,6 +246,9 @@ impl<'a> Pipeline<'a> {
             heard = true;
             if let Some(outcomes) = self.sequencer.report(message.header(), message.items()) {
                 self.batch_is_broken = false;
+                self.driving_ns += now_ns() - self.issued_ns;
+                self.driving_ticks +=
+                    outcomes.iter().map(|outcome| outcome.report.ticks).max().unwrap_or_default();
                 for member in &mut self.members {
                     member.policy.works();
                 }
@@ -275,6 +286,7 @@ impl<'a> Pipeline<'a> {
         };
         let header = BatchHeader { sent_ns: now_ns(), ..header };
         self.requests.send(header, drives.len(), |index| drives[index])?;
+        self.issued_ns = header.sent_ns;
         Ok(())
     }
 

@@ -16,6 +16,8 @@ pub(crate) struct RunFacts {
     pub(crate) counts: Counts,
     pub(crate) processes: Vec<ProcessFacts>,
     pub(crate) wall_s: f64,
+    /// Mean time of a tick, from the request of a batch to its report.
+    pub(crate) tick_ns: f64,
 }
 
 /// One process.
@@ -56,6 +58,7 @@ pub(crate) fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) 
             "pid": process.pid,
             "restarts": process.restarts,
         })).collect::<Vec<_>>(),
+        "tick_ns": facts.tick_ns,
         "vehicle_s": vehicle_s,
         "wall_s": facts.wall_s,
         "real_time_factor": vehicle_s / facts.wall_s,

@@ -55,7 +55,7 @@ pub fn train(args: &TrainArgs) -> Result<(), Failure> {
 }
 
 /// Runs the pipeline; whatever happens, nothing of it stays in shared memory.
-fn run(plan: &Plan) -> Result<RunFacts, Failure> {
+pub(crate) fn run(plan: &Plan) -> Result<RunFacts, Failure> {
     let folder = &plan.folder;
     let text = toml::to_string(&plan.config).context("the configuration")?;
     write(&folder.join("config.toml"), &text)?;

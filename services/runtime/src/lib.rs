@@ -9,6 +9,7 @@ mod bus;
 pub mod clock;
 pub mod cleanup;
 pub mod logging;
+pub mod ring;
 pub mod run;
 mod serve;
 

@@ -219,17 +219,17 @@ impl Heartbeat {
 /// messages: each finds its message at its first look. In the other order each tick takes two rounds. The
 /// supervisor sees that, because its message is never there at its first look, and then steps aside for a
 /// random moment, which shuffles the order.
-struct RingOrder {
+pub(crate) struct RingOrder {
     late_in_a_row: u32,
     random: u64,
 }
 
 impl RingOrder {
-    fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self { late_in_a_row: 0, random: seed | 1 }
     }
 
-    fn note(&mut self, late: bool) {
+    pub(crate) fn note(&mut self, late: bool) {
         self.late_in_a_row = if late { self.late_in_a_row + 1 } else { 0 };
         if self.late_in_a_row == LATE_IN_A_ROW {
             self.late_in_a_row = 0;
