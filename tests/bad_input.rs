@@ -32,8 +32,16 @@ fn mistakes_in_options() {
     check(&sandbox, &["lane_change", "--alphas", "0"], &["--alphas", "0", "(0, 1]"]);
     check(&sandbox, &["lane_change", "--alphas", "nan"], &["--alphas", "NaN"]);
     check(&sandbox, &["lane_change", "--episodes", "0"], &["--episodes", "[1, 100000]"]);
-    check(&sandbox, &["lane_change", "--set", "learning.gama=1"], &["learning.gama", "learning.gamma"]);
-    check(&sandbox, &["lane_change", "--set", "drive.tick_s=1.0"], &["drive.tick_s", "[0.001, 0.1]"]);
+    check(
+        &sandbox,
+        &["lane_change", "--set", "learning.gama=1"],
+        &["learning.gama", "learning.gamma"],
+    );
+    check(
+        &sandbox,
+        &["lane_change", "--set", "drive.tick_s=1.0"],
+        &["drive.tick_s", "[0.001, 0.1]"],
+    );
     check(&sandbox, &["lane_change", "--config", "none.toml"], &["none.toml"]);
     check(
         &sandbox,

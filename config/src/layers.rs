@@ -57,7 +57,10 @@ impl Layers {
         }
         let mut leaves = Vec::new();
         walk(document.as_table(), &self.values, &self.values, "", &mut leaves, &|span| {
-            format!("{origin}:{}", span.map_or(1, |span: std::ops::Range<usize>| line_of(text, span.start)))
+            format!(
+                "{origin}:{}",
+                span.map_or(1, |span: std::ops::Range<usize>| line_of(text, span.start))
+            )
         })?;
         for (key, origin) in leaves {
             let value = take(&mut values, &key).expect("the same document, parsed twice");
@@ -126,12 +129,11 @@ impl Layers {
                 }
             }
         };
-        let config: RunConfig = serde_path_to_error::deserialize(Value::Table(values)).map_err(
-            |error| {
+        let config: RunConfig =
+            serde_path_to_error::deserialize(Value::Table(values)).map_err(|error| {
                 let key = error.path().to_string();
                 ConfigError::new(origin_of(&key), key, error.inner().message().to_owned())
-            },
-        )?;
+            })?;
         validate::validate(&config)
             .map_err(|(key, problem)| ConfigError::new(origin_of(&key), key, problem))?;
         Ok(config)
@@ -211,7 +213,9 @@ fn walk(
         let key = if above.is_empty() { name.to_owned() } else { format!("{above}.{name}") };
         let place = origin(table.key(name).and_then(toml_edit::Key::span).or_else(|| item.span()));
         match (known.get(name), item.as_table_like()) {
-            (Some(Value::Table(below)), Some(table)) => walk(table, root, below, &key, leaves, origin)?,
+            (Some(Value::Table(below)), Some(table)) => {
+                walk(table, root, below, &key, leaves, origin)?
+            }
             (Some(_), _) => leaves.push((key, place)),
             (None, _) => return Err(unknown_key(root, &key, place)),
         }
@@ -312,8 +316,14 @@ mod tests {
             }
             assert!(!message.contains('\n'), "{message:?}");
         };
-        check("\n[learning]\nepisods = 3", &["my.toml:3", "learning.episods", "mean learning.episodes"]);
-        check("[learning]\nepisodes = 'x'", &["my.toml:2", "learning.episodes", "integer", "string"]);
+        check(
+            "\n[learning]\nepisods = 3",
+            &["my.toml:3", "learning.episods", "mean learning.episodes"],
+        );
+        check(
+            "[learning]\nepisodes = 'x'",
+            &["my.toml:2", "learning.episodes", "integer", "string"],
+        );
         check("[learning]\nepisodes = 0", &["my.toml:2", "learning.episodes", "0", "[1, 100000]"]);
         check("[learning\n", &["my.toml:1"]);
         check("[run]\nalphas = [0.5, 1.5]", &["my.toml:2", "run.alphas", "1.5", "(0, 1]"]);

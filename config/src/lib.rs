@@ -9,12 +9,11 @@
 //! SI units and radians throughout; the suffix of a key is its unit.
 
 mod error;
-mod layers;
 pub mod launch;
+mod layers;
 mod presets;
 mod schema;
 mod validate;
-
 
 pub use error::ConfigError;
 pub use layers::Layers;

@@ -3,8 +3,8 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
-    BatchHeader, Command, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Odometry, Proposal,
-    RawCommand, Status, TickHeader, TrackingError, Zone,
+    BatchHeader, Command, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Odometry,
+    Proposal, RawCommand, Status, TickHeader, TrackingError, Zone,
 };
 
 /// Who can be woken by a message.

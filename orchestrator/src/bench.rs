@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
-use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
+use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, Table};
 use config::Layers;
 use config::launch::Launch;
@@ -58,9 +58,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
         return Ok(());
     }
     let mut table = Table::new();
-    table.load_style(UTF8_HORIZONTAL_ONLY).set_header([
-        "", "µs a tick", "× bare ring", "ns a vehicle and tick",
-    ]);
+    table.load_style(NOTHING).set_header(["", "µs a tick", "× bare ring", "ns a vehicle and tick"]);
     for column in table.column_iter_mut().skip(1) {
         column.set_cell_alignment(CellAlignment::Right);
     }
@@ -76,7 +74,10 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
         }
     }
     println!("{table}");
-    println!("medians of {} rounds, ring and pipeline in turn, all processes of each on one core", args.rounds);
+    println!(
+        "medians of {} rounds, ring and pipeline in turn, all processes of each on one core",
+        args.rounds
+    );
     Ok(())
 }
 

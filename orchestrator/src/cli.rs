@@ -63,7 +63,7 @@ pub struct TrainArgs {
     /// Who tunes [default: educated-q]
     #[arg(long, value_enum)]
     pub tuner: Option<TunerArg>,
-    /// Folder for configuration, journal, logs and result [default: runs/<manoeuvre>-<time>]
+    /// Folder for configuration, journal, logs and result [default: runs/MANEUVER-TIME]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// TOML file on top of the presets

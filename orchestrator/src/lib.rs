@@ -3,7 +3,7 @@
 //! Links no service: it starts processes, by re-executing the binary it is part of or by a user's command.
 //! That is what makes a swap of any of them possible by construction.
 //!
-//! [`sequencer`] and [`restart`] decide, and are pure; [`process`] and [`pipeline`] act.
+//! [`sequencer`] and [`restart`] decide, and are pure; [`process`] and `pipeline` act.
 
 mod bench;
 pub mod cli;

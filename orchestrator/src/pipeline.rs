@@ -273,11 +273,10 @@ impl<'a> Pipeline<'a> {
             return Ok(());
         }
         let broken = std::mem::take(&mut self.batch_is_broken);
-        let batch =
-            if broken { self.sequencer.reissue() } else { None }.map(|(header, drives)| {
-                tracing::info!(batch = header.batch, attempt = header.attempt, "reissued");
-                (header, drives)
-            });
+        let batch = if broken { self.sequencer.reissue() } else { None }.map(|(header, drives)| {
+            tracing::info!(batch = header.batch, attempt = header.attempt, "reissued");
+            (header, drives)
+        });
         let Some((header, drives)) = (match batch {
             Some(batch) => Some(batch),
             None => self.sequencer.next_batch(),

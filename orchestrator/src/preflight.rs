@@ -13,7 +13,10 @@ pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {
     for entry in &launch.process {
         let Some(command) = &entry.command else { continue };
         let fail = |why: String| {
-            Err(Failure::User(format!("the command of the {}: {command}: {why}", entry.role.name())))
+            Err(Failure::User(format!(
+                "the command of the {}: {command}: {why}",
+                entry.role.name()
+            )))
         };
         let words = match shell_words::split(command) {
             Ok(words) => words,
@@ -37,13 +40,12 @@ pub(crate) fn make_folder(folder: &Path) -> Result<PathBuf, Failure> {
             }
         }
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            fs::create_dir_all(folder)
-                .map_err(|error| fail(format!("cannot be made: {error}")))?;
+            fs::create_dir_all(folder).map_err(|error| fail(format!("cannot be made: {error}")))?;
         }
         Err(error) => return Err(fail(format!("cannot be used: {error}"))),
     }
-    let folder = fs::canonicalize(folder)
-        .map_err(|error| fail(format!("cannot be used: {error}")))?;
+    let folder =
+        fs::canonicalize(folder).map_err(|error| fail(format!("cannot be used: {error}")))?;
     fs::create_dir(folder.join("logs"))
         .map_err(|error| fail(format!("cannot be written: {error}")))?;
     Ok(folder)

@@ -25,7 +25,8 @@ pub(crate) struct Progress {
 impl Progress {
     pub(crate) fn new(quiet: bool, tick_s: f64) -> Self {
         let terminal = std::io::stderr().is_terminal() && !quiet;
-        let target = if terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let target =
+            if terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(None, target);
         if let Ok(style) = ProgressStyle::with_template("{wide_bar:.cyan} {msg}") {
             bar.set_style(style);

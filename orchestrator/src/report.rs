@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
+use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, Table};
 use config::RunConfig;
 use serde_json::{Value, json};
@@ -30,7 +30,8 @@ pub(crate) struct ProcessFacts {
 /// Joins the trainer's outcome with what only the orchestrator knows, and writes `result.json`.
 pub(crate) fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) -> Result<Value> {
     let outcome_path = folder.join("outcome.json");
-    let text = fs::read(&outcome_path).with_context(|| format!("failed to read {outcome_path:?}"))?;
+    let text =
+        fs::read(&outcome_path).with_context(|| format!("failed to read {outcome_path:?}"))?;
     let mut outcome: Value = serde_json::from_slice(&text)
         .with_context(|| format!("failed to parse {outcome_path:?}"))?;
     let mut take = |key: &str| outcome.get_mut(key).map(Value::take).unwrap_or_default();
@@ -76,9 +77,9 @@ pub(crate) fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) 
 pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) {
     let size = result["grid"]["size"].as_u64().unwrap_or_default();
     let mut table = Table::new();
-    table.load_style(UTF8_HORIZONTAL_ONLY).set_header([
-        "", "Kv", "Kl", "Ks", "Ki", "distance", "rank", "mse m²", "rank",
-    ]);
+    table
+        .load_style(NOTHING)
+        .set_header(["", "Kv", "Kl", "Ks", "Ki", "distance", "rank", "mse m²", "rank"]);
     for column in table.column_iter_mut().skip(1) {
         column.set_cell_alignment(CellAlignment::Right);
     }
@@ -117,10 +118,7 @@ pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) {
     let bounds: Vec<&str> =
         result["on_bound"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     if !bounds.is_empty() {
-        println!(
-            "on a bound of the grid: {}; better gains may lie beyond it",
-            bounds.join(", "),
-        );
+        println!("on a bound of the grid: {}; better gains may lie beyond it", bounds.join(", "),);
     }
     let drives = &result["drives"];
     println!(
@@ -134,7 +132,9 @@ pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) {
         text(&result["real_time_factor"]),
     );
     println!("digest {}", result["digest"].as_str().unwrap_or_default());
-    println!("{}", folder.join("result.json").display());
+    let path = folder.join("result.json");
+    let here = std::env::current_dir().unwrap_or_default();
+    println!("{}", path.strip_prefix(here).unwrap_or(&path).display());
 }
 
 /// A gain with as many digits as it needs.

@@ -130,7 +130,8 @@ impl Sequencer {
             && reports.len() == self.driving.len()
             && !self.driving.is_empty()
             && self.driving.iter().zip(reports).all(|(drive, report)| {
-                (drive.learner, drive.step, drive.seed) == (report.learner, report.step, report.seed)
+                (drive.learner, drive.step, drive.seed)
+                    == (report.learner, report.step, report.seed)
             });
         if !fits {
             self.counts.dropped += 1;

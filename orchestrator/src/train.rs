@@ -70,8 +70,8 @@ pub(crate) fn run(plan: &Plan) -> Result<RunFacts, Failure> {
     let span = tracing::info_span!("run", run = format!("{:016x}", names.run));
     let result = span.in_scope(|| {
         let mut progress = Progress::new(plan.quiet, plan.config.drive.tick_s);
-        let result =
-            Pipeline::new(plan, &names, &mut progress).and_then(|mut pipeline| pipeline.run_to_end());
+        let result = Pipeline::new(plan, &names, &mut progress)
+            .and_then(|mut pipeline| pipeline.run_to_end());
         progress.finish();
         result
     });

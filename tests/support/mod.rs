@@ -3,7 +3,7 @@
 //! Each sandbox has its own runtime folder, so that tests run in parallel without meeting, and can tell
 //! exactly what they left behind.
 
-#![allow(dead_code, reason = "each test file uses its own part")]
+#![allow(dead_code, unreachable_pub, reason = "each test file uses its own part")]
 
 use std::ffi::OsStr;
 use std::fs;
@@ -93,14 +93,14 @@ impl Sandbox {
     /// Ids of the processes of this sandbox's runs.
     pub fn processes(&self) -> Vec<i32> {
         let mark = format!("PATHTUNE_ROOT={}", self.path("r").display());
-        pids().filter(|pid| file_holds(&format!("/proc/{pid}/environ"), &mark)).collect()
+        pids().filter(|pid| file_holds(format!("/proc/{pid}/environ"), &mark)).collect()
     }
 
     /// Id of the living process of a service, if there is one.
     pub fn service(&self, name: &str) -> Option<i32> {
         self.processes()
             .into_iter()
-            .find(|pid| file_holds(&format!("/proc/{pid}/cmdline"), &format!("service\0{name}\0")))
+            .find(|pid| file_holds(format!("/proc/{pid}/cmdline"), &format!("service\0{name}\0")))
     }
 
     /// Asserts that no process, segment or file of any run of this sandbox is left.

@@ -97,8 +97,11 @@ impl Controller {
             self.counters.rejected += u64::from(!believed);
         }
         let slots = &self.slots;
-        let header =
-            TickHeader { controller_received_ns: received_ns, controller_sent_ns: now_ns(), ..header };
+        let header = TickHeader {
+            controller_received_ns: received_ns,
+            controller_sent_ns: now_ns(),
+            ..header
+        };
         self.raw_commands.send(header, slots.len(), |index| slots[index].raw_command())?;
         if self.errors.has_readers() {
             self.errors.send_quietly(header, slots.len(), |index| slots[index].tracking_error())?;
@@ -116,8 +119,7 @@ impl Controller {
         let Some((header, _)) = self.driving.take() else { return Ok(()) };
         let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..header };
         let slots = &self.slots;
-        self.reports
-            .send(header, slots.len(), |index| slots[index].report.unwrap_or_default())?;
+        self.reports.send(header, slots.len(), |index| slots[index].report.unwrap_or_default())?;
         Ok(())
     }
 }

@@ -28,7 +28,9 @@ fn grid_figures(maneuver: &str, size: usize, wanted: [f64; 4]) {
         .collect();
     distances.sort_by(f64::total_cmp);
     let got = [0, size / 100, size / 2, size - 1].map(|index| distances[index]);
-    for (name, (got, wanted)) in ["min", "1 %", "median", "max"].iter().zip(got.into_iter().zip(wanted)) {
+    for (name, (got, wanted)) in
+        ["min", "1 %", "median", "max"].iter().zip(got.into_iter().zip(wanted))
+    {
         near(&format!("{maneuver} d {name}"), got, wanted, 0.02);
     }
 }

@@ -43,7 +43,8 @@ impl Attachment {
                 format!("{name} is not set: services are started by `pathtune train`, not by hand")
             })
         };
-        let run = u64::from_str_radix(&text(RUN)?, 16).with_context(|| format!("malformed {RUN}"))?;
+        let run =
+            u64::from_str_radix(&text(RUN)?, 16).with_context(|| format!("malformed {RUN}"))?;
         let names = RunNames { run, root: PathBuf::from(text(ROOT)?) };
         if text(PREFIX)? != names.prefix() {
             bail!("{PREFIX} does not belong to {RUN}");

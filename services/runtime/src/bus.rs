@@ -367,7 +367,8 @@ fn service_name(name: &str) -> ServiceName {
 fn transport_config(names: &RunNames) -> Result<Config, BusError> {
     let mut config = Config::default();
     let global = &mut config.global;
-    global.prefix = FileName::new(names.prefix().as_bytes()).map_err(refused(|| "name the run".to_owned()))?;
+    global.prefix =
+        FileName::new(names.prefix().as_bytes()).map_err(refused(|| "name the run".to_owned()))?;
     let root = Path::new(names.root.as_os_str().as_encoded_bytes())
         .map_err(refused(|| format!("use the folder {}", names.root.display())))?;
     global.set_root_path(&root);

@@ -6,8 +6,8 @@
 
 mod attachment;
 mod bus;
-pub mod clock;
 pub mod cleanup;
+pub mod clock;
 pub mod logging;
 pub mod ring;
 pub mod run;

@@ -26,7 +26,8 @@ pub fn join() -> Result<(Attachment, Bus, RunConfig)> {
     attachment.tie_to_parent()?;
     crate::logging::init();
     let path = attachment.folder.join("config.toml");
-    let text = std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
+    let text =
+        std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
     let config = RunConfig::from_resolved(&text)?;
     let bus = Bus::attach(&attachment.names, attachment.max_len)?;
     Ok((attachment, bus, config))
@@ -78,7 +79,12 @@ const LATE_IN_A_ROW: u32 = 32;
 ///
 /// # Errors
 /// The service's own, or the transport's.
-pub fn serve(attachment: &Attachment, bus: &Bus, role: WakeRole, service: &mut dyn Service) -> Result<()> {
+pub fn serve(
+    attachment: &Attachment,
+    bus: &Bus,
+    role: WakeRole,
+    service: &mut dyn Service,
+) -> Result<()> {
     let stop = stop_flag()?;
     let alarm = bus.alarm(role)?;
     let mut beat = Heartbeat::new(attachment, bus, role)?;

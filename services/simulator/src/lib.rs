@@ -1,6 +1,6 @@
 //! The simulated vehicle: a single track with a car's actuators, and the process that publishes it.
 //!
-//! [`vehicle`] is pure; [`service`] joins it to the pipeline.
+//! `vehicle` is pure; [`service`] joins it to the pipeline.
 
 mod noise;
 pub mod service;

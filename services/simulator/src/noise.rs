@@ -24,7 +24,8 @@ impl PoseNoise {
         let radius = (-2.0 * libm::log(1.0 - self.uniform())).sqrt() * self.settings.position_sd_m;
         let angle = std::f64::consts::TAU * self.uniform();
         // The sum of two uniform variables is triangular.
-        let heading = self.settings.heading_half_width_rad * (self.uniform() + self.uniform() - 1.0);
+        let heading =
+            self.settings.heading_half_width_rad * (self.uniform() + self.uniform() - 1.0);
         Pose {
             x_m: pose.x_m + radius * libm::cos(angle),
             y_m: pose.y_m + radius * libm::sin(angle),
@@ -44,8 +45,7 @@ mod tests {
 
     #[test]
     fn the_noise_has_the_moments_that_the_paper_names() {
-        let settings =
-            Noise { enabled: true, position_sd_m: 0.1, heading_half_width_rad: 0.088 };
+        let settings = Noise { enabled: true, position_sd_m: 0.1, heading_half_width_rad: 0.088 };
         let mut noise = PoseNoise::new(settings, 1);
         let count = 100_000;
         let (mut sum, mut squares, mut turned, mut largest) = (0.0, 0.0, 0.0, 0.0f64);

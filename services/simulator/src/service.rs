@@ -5,7 +5,9 @@
 
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
-use ipc_types::{BatchHeader, Command, DriveRequest, Odometry, TickHeader, WakeRole, WirePose, has};
+use ipc_types::{
+    BatchHeader, Command, DriveRequest, Odometry, TickHeader, WakeRole, WirePose, has,
+};
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use tracking::Pose;
@@ -64,7 +66,11 @@ impl Simulator {
         let vehicle = SimulatedVehicle::new(&self.config);
         self.slots.truncate(requests.len());
         while self.slots.len() < requests.len() {
-            self.slots.push(Slot { vehicle: vehicle.clone(), last: Odometry::default(), ended: false });
+            self.slots.push(Slot {
+                vehicle: vehicle.clone(),
+                last: Odometry::default(),
+                ended: false,
+            });
         }
         for (slot, request) in self.slots.iter_mut().zip(requests) {
             let WirePose { x_m, y_m, yaw_rad } = request.start;

@@ -225,8 +225,7 @@ impl Lane {
 
     /// Whether a corner of the body lies outside the lane.
     fn is_left(&mut self, vehicle: &Vehicle, rear_axle: Pose) -> bool {
-        let near =
-            self.path.project(rear_axle.x_m, rear_axle.y_m, self.along_m, Self::WINDOW_M);
+        let near = self.path.project(rear_axle.x_m, rear_axle.y_m, self.along_m, Self::WINDOW_M);
         self.along_m = near.along_m;
         let reach_m = vehicle.body_front_m + vehicle.body_rear_m + Self::WINDOW_M;
         let half_width_m = vehicle.body_half_width_m;

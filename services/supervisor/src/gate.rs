@@ -81,7 +81,10 @@ mod tests {
     #[test]
     fn a_command_within_limits_passes_untouched() {
         let passed = gate().pass(9.0, 70.0, -0.5);
-        assert_eq!((passed.speed_mps, passed.yaw_rate_radps, passed.steering_rad), (9.0, 70.0, -0.5));
+        assert_eq!(
+            (passed.speed_mps, passed.yaw_rate_radps, passed.steering_rad),
+            (9.0, 70.0, -0.5)
+        );
         assert_eq!(passed.change, Change::default());
     }
 

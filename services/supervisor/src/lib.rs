@@ -1,6 +1,6 @@
 //! The paper's high-level supervisor: the safety gate in the command path, and the zones.
 //!
-//! [`gate`] is pure; [`service`] joins it to the pipeline.
+//! `gate` is pure; [`service`] joins it to the pipeline.
 
 mod gate;
 pub mod service;

@@ -82,7 +82,8 @@ impl Supervisor {
     }
 
     fn is_of_batch(&self, header: TickHeader, len: usize) -> bool {
-        (header.run, header.batch, header.attempt) == (self.run, self.batch.batch, self.batch.attempt)
+        (header.run, header.batch, header.attempt)
+            == (self.run, self.batch.batch, self.batch.attempt)
             && len == self.slots.len()
             && len > 0
     }
@@ -113,8 +114,11 @@ impl Supervisor {
         }
         self.tell_zones(header, raw)?;
         let Self { gate, slots, counters, .. } = self;
-        let header =
-            TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now_ns(), ..header };
+        let header = TickHeader {
+            supervisor_received_ns: received_ns,
+            supervisor_sent_ns: now_ns(),
+            ..header
+        };
         self.commands.send(header, raw.len(), |index| {
             let raw = &raw[index];
             let passed = gate.pass(raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
@@ -169,9 +173,7 @@ impl Service for Supervisor {
             return Ok(false);
         };
         let (header, batch) = (raw.header(), self.batch);
-        if header.run == self.run
-            && (header.batch, header.attempt) > (batch.batch, batch.attempt)
-        {
+        if header.run == self.run && (header.batch, header.attempt) > (batch.batch, batch.attempt) {
             self.early = Some(raw);
             return Ok(false);
         }

@@ -66,7 +66,8 @@ impl Segment {
         }
         // Angle swept around the centre, which lies 1/curvature to the left of the start.
         let (cx, cy) = (dx + sin / curvature, dy - cos / curvature);
-        let swept = wrap_angle(libm::atan2(cy, cx) - libm::atan2(-cos / curvature, sin / curvature));
+        let swept =
+            wrap_angle(libm::atan2(cy, cx) - libm::atan2(-cos / curvature, sin / curvature));
         let turn = std::f64::consts::TAU / curvature.abs();
         let mut ahead_m = swept / curvature;
         // Long arcs pass an angle more than once; short ones may be missed on either side.

@@ -42,8 +42,7 @@ impl Reference {
             }
             Advance::Projection => {
                 let (x_m, y_m) = (measured.x_m, measured.y_m);
-                self.along_m =
-                    self.path.project(x_m, y_m, self.along_m, Self::WINDOW_M).along_m;
+                self.along_m = self.path.project(x_m, y_m, self.along_m, Self::WINDOW_M).along_m;
                 self.path.at(self.along_m + self.lookahead_m)
             }
         }

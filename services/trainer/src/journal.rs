@@ -19,9 +19,13 @@ use crate::{DriveRecord, Training};
 pub enum JournalError {
     #[error("failed to use the journal {path}: {source}")]
     Io { path: PathBuf, source: io::Error },
-    #[error("the journal {path} is damaged at byte {offset}: {problem}; take it from a backup, or train anew")]
+    #[error(
+        "the journal {path} is damaged at byte {offset}: {problem}; take it from a backup, or train anew"
+    )]
     Damaged { path: PathBuf, offset: usize, problem: String },
-    #[error("the journal {path} belongs to another configuration; resume with the one it was made with")]
+    #[error(
+        "the journal {path} belongs to another configuration; resume with the one it was made with"
+    )]
     Foreign { path: PathBuf },
 }
 
@@ -116,9 +120,7 @@ impl Journal {
     /// # Errors
     /// If the disk does not take it.
     pub fn sync(&mut self) -> Result<(), JournalError> {
-        self.file
-            .sync_data()
-            .map_err(|source| JournalError::Io { path: self.path.clone(), source })
+        self.file.sync_data().map_err(|source| JournalError::Io { path: self.path.clone(), source })
     }
 }
 

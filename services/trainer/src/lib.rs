@@ -13,8 +13,8 @@ mod rng;
 pub mod service;
 mod training;
 
-pub use learner::{DriveRecord, EpisodeRecord, Learner};
 pub use digest::digest;
+pub use learner::{DriveRecord, EpisodeRecord, Learner};
 pub use outcome::{EpisodeOutcome, GridOutcome, LearnerOutcome, Outcome, PlainOutcome, SetOutcome};
 pub use ranking::Ranking;
 pub use training::{Step, Training, Wanted, train_by_rollout, train_offline, vote};

@@ -53,8 +53,7 @@ mod tests {
         assert_ne!(Stream::new(1, 1).uniform(), Stream::new(1, 0).uniform());
     }
 
-    const FIRST_DRAWN: [u64; 3] =
-        [4600543922235128406, 4598984558295872832, 4605365254607385758];
+    const FIRST_DRAWN: [u64; 3] = [4600543922235128406, 4598984558295872832, 4605365254607385758];
 
     #[test]
     fn drives_have_seeds_of_their_own() {

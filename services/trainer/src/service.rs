@@ -6,9 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use config::RunConfig;
-use ipc_types::{
-    BatchHeader, DriveOutcome, DriveReport, LearnerProgress, Proposal, WakeRole,
-};
+use ipc_types::{BatchHeader, DriveOutcome, DriveReport, LearnerProgress, Proposal, WakeRole};
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use sha2::{Digest, Sha256};

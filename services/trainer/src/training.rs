@@ -76,7 +76,8 @@ impl Training {
     pub fn remember(&mut self, mut each: impl FnMut(&Step)) {
         for learner in 0..self.learners.len() {
             while let Some(wanted) = self.wanted_by(learner) {
-                let Some(drive) = self.memory.as_ref().and_then(|memory| memory.get(&self.key(wanted)))
+                let Some(drive) =
+                    self.memory.as_ref().and_then(|memory| memory.get(&self.key(wanted)))
                 else {
                     break;
                 };
