@@ -322,10 +322,14 @@ message!(
 
 message!(
     /// A sign of life. Sent by every process, when it becomes ready and then at least every 100 ms.
-    #[name = "pathtune.Status#13e6b64f"]
+    #[name = "pathtune.Status#bc020fe6"]
     pub struct Status {
         /// Which start of this role it is, from the environment.
         pub incarnation: u64,
+        /// The batch that is or was last under way; 0 before the first.
+        pub batch: u64,
+        /// Its next tick.
+        pub tick: u64,
         /// Samples that did not match run, batch, attempt and tick, and were dropped.
         pub dropped: u64,
         /// Samples that were not finite or out of range, and were rejected.

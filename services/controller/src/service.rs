@@ -106,8 +106,10 @@ impl Controller {
         if self.errors.has_readers() {
             self.errors.send_quietly(header, slots.len(), |index| slots[index].tracking_error())?;
         }
-        if let Some((_, tick)) = &mut self.driving {
+        if let Some((batch, tick)) = &mut self.driving {
             *tick += 1;
+            self.counters.batch = batch.batch;
+            self.counters.tick = *tick;
         }
         if slots.iter().all(|slot| slot.report.is_some()) {
             self.report()?;

@@ -53,6 +53,10 @@ pub trait Service {
 /// What a process tells of itself with each sign of life.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
+    /// The batch that is or was last under way; 0 before the first.
+    pub batch: u64,
+    /// Its next tick.
+    pub tick: u64,
     /// Samples that did not match run, batch, attempt and tick, and were dropped.
     pub dropped: u64,
     /// Samples that were not finite or out of range, and were rejected.
@@ -191,9 +195,11 @@ impl Heartbeat {
     fn send(&mut self, now_ns: u64, service: &dyn Service) -> Result<()> {
         let first = self.last_ns == 0;
         self.last_ns = now_ns;
-        let Counters { dropped, rejected, capacity, pacing } = service.status();
+        let Counters { batch, tick, dropped, rejected, capacity, pacing } = service.status();
         let status = Status {
             incarnation: self.incarnation,
+            batch,
+            tick,
             dropped,
             rejected,
             role: self.role,

@@ -88,6 +88,8 @@ impl Simulator {
 
     fn publish(&mut self, mut header: TickHeader) -> Result<()> {
         header.odometry_sent_ns = now_ns();
+        self.counters.batch = header.batch;
+        self.counters.tick = header.tick;
         let slots = &mut self.slots;
         self.odometry.send(header, slots.len(), |index| slots[index].observe())?;
         self.waiting = Some(header);

@@ -113,6 +113,8 @@ impl Supervisor {
             return Ok(());
         }
         self.tell_zones(header, raw)?;
+        self.counters.batch = header.batch;
+        self.counters.tick = header.tick + 1;
         let Self { gate, slots, counters, .. } = self;
         let header = TickHeader {
             supervisor_received_ns: received_ns,
