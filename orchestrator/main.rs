@@ -1,6 +1,7 @@
 //! The doorway: one binary that is the orchestrator, and every process that it starts.
 
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::Parser;
 use clap::error::ErrorKind;
@@ -12,23 +13,39 @@ fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {
-            let _ = error.print();
             return match error.kind() {
-                ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => ExitCode::SUCCESS,
-                _ => ExitCode::from(64),
+                ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
+                    let _ = error.print();
+                    ExitCode::SUCCESS
+                }
+                ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
+                    let _ = error.print();
+                    ExitCode::from(64)
+                }
+                _ => {
+                    orchestrator::print_usage_error(&error);
+                    ExitCode::from(64)
+                }
             };
         }
     };
     let result = match cli.command {
         Command::Train(args) => orchestrator::train(&args),
         Command::Bench(args) => orchestrator::bench(&args),
+        Command::Status { json } => orchestrator::status(json),
+        Command::Stop { run } => orchestrator::stop(run.as_deref()),
+        Command::Logs { run, process, lines } => {
+            orchestrator::logs(run.as_deref(), process.as_deref(), lines)
+        }
+        Command::Clean { dry_run } => orchestrator::clean(dry_run),
+        Command::Doctor { json } => orchestrator::doctor(json),
         Command::Config(command) => orchestrator::show_config(&command),
         Command::Service { service } => serve(service).map_err(Failure::from),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("pathtune: {}", failure.message());
+            orchestrator::print_failure(&failure);
             ExitCode::from(failure.code())
         }
     }
@@ -46,6 +63,10 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
             HopArg::Third => Hop::Third,
         }),
         ServiceCommand::Cleaner => runtime::cleanup::run_helper(),
+        ServiceCommand::Wake { pid, after_ms } => {
+            runtime::chaos::wake_later(pid, Duration::from_millis(after_ms));
+            Ok(())
+        }
         ServiceCommand::Exec { words } => Err(orchestrator::process::exec(&words)),
     }
 }

@@ -52,7 +52,11 @@ impl Layers {
             ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
         })?;
         let mut values = parse_table(origin, text)?;
-        if let Some(Value::String(vehicle)) = values.get("vehicle_preset").cloned() {
+        // A vehicle's own file has no such key, and must not name another.
+        let names_vehicle = self.values.contains_key("vehicle_preset");
+        if let Some(Value::String(vehicle)) = values.get("vehicle_preset").cloned()
+            && names_vehicle
+        {
             self.load_vehicle(&vehicle, origin)?;
         }
         let mut leaves = Vec::new();
@@ -81,10 +85,14 @@ impl Layers {
         let (key, text) = (key.trim(), text.trim());
         let value = match parse_table(&origin, &format!("value = {text}")) {
             Ok(mut table) if table.len() == 1 => table.remove("value").expect("just written"),
+            // A bare word or a path needs no quotes; anything else is meant as TOML.
+            Err(error) if text.contains(['[', ']', '{', '}', '"', '\'', '=']) => {
+                return Err(ConfigError::new(origin, key, error.problem));
+            }
             _ => Value::String(text.to_owned()),
         };
-        if key == "vehicle_preset" {
-            self.load_vehicle(text, &origin)?;
+        if let ("vehicle_preset", Value::String(vehicle)) = (key, &value) {
+            self.load_vehicle(vehicle, &origin)?;
         }
         if let Value::Table(_) = value {
             let table = format!("{key} = {text}");
@@ -172,6 +180,10 @@ impl Layers {
             return Err(unknown_key(&self.values, key, origin));
         };
         check_kind(slot, &value, key, &origin)?;
+        if key == "maneuver" && *slot != value {
+            let problem = format!("is {slot}, as named on the command line, and cannot be changed");
+            return Err(ConfigError::new(origin, key, problem));
+        }
         *slot = value;
         self.origins.insert(key.to_owned(), origin);
         Ok(())
@@ -330,6 +342,7 @@ mod tests {
         check("[learning]\ntuner = 'sarsa'", &["my.toml:2", "learning.tuner", "sarsa"]);
         check("[grid]\nkv = { min = 3.0, max = 1.0 }", &["my.toml:2", "grid.kv", "reversed"]);
         check("[grid.kv]\nstep = 0.0", &["my.toml:2", "grid.kv.step"]);
+        check("maneuver = 'other'", &["my.toml:1", "maneuver", "cannot be changed"]);
         check("[path]\npieces = []", &["my.toml:2", "path.pieces"]);
         check("[path]\npieces = [{ kind = 'loop' }]", &["my.toml:2", "path.pieces", "loop"]);
         check("[noise]\nposition_sd_m = nan", &["my.toml:2", "noise.position_sd_m", "NaN"]);

@@ -33,6 +33,9 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     within("noise.heading_half_width_rad", c.noise.heading_half_width_rad, 0.0, 1.0)?;
     above("collision.lane_half_width_m", c.collision.lane_half_width_m, 0.0, 100.0)?;
     within("collision.penalty", c.collision.penalty, 0.0, 100.0)?;
+    for (name, gain) in crate::Gains::NAMES.iter().zip(c.paper_gains.to_array()) {
+        within(&format!("paper_gains.{name}"), gain, 0.0, 1e6)?;
+    }
     path(c)?;
     grid(c)?;
     learning(c)?;
@@ -61,7 +64,7 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
                 within(&key("offset_m"), offset_m, -1e5, 1e5)?;
             }
             Piece::Arc { radius_m, angle_deg } => {
-                above(&key("radius_m"), radius_m, 0.0, 1e5)?;
+                within(&key("radius_m"), radius_m, 0.01, 1e5)?;
                 within(&key("angle_deg"), angle_deg, -3600.0, 3600.0)?;
                 if angle_deg == 0.0 {
                     return Err((key("angle_deg"), "is 0; use a straight piece".to_owned()));
@@ -144,7 +147,7 @@ fn run(config: &RunConfig) -> Result<(), Problem> {
 
 fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     let v = &config.vehicle;
-    above("vehicle.wheelbase_m", v.wheelbase_m, 0.0, 20.0)?;
+    within("vehicle.wheelbase_m", v.wheelbase_m, 0.01, 20.0)?;
     within("vehicle.tracked_point_m", v.tracked_point_m, -20.0, 20.0)?;
     above("vehicle.body_front_m", v.body_front_m, 0.0, 20.0)?;
     above("vehicle.body_rear_m", v.body_rear_m, 0.0, 20.0)?;
@@ -156,7 +159,7 @@ fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     within("vehicle.speed_ki", v.speed_ki, 0.0, 100.0)?;
     within("vehicle.speed_integral_min", v.speed_integral_min, -10.0, 10.0)?;
     within("vehicle.speed_integral_max", v.speed_integral_max, v.speed_integral_min, 10.0)?;
-    above("vehicle.pedal_lag_s", v.pedal_lag_s, 0.0, 10.0)?;
+    within("vehicle.pedal_lag_s", v.pedal_lag_s, 1e-6, 10.0)?;
     above("vehicle.throttle_accel_mps2", v.throttle_accel_mps2, 0.0, 100.0)?;
     above("vehicle.brake_decel_mps2", v.brake_decel_mps2, 0.0, 100.0)?;
     within("vehicle.drag_per_s", v.drag_per_s, 0.0, 100.0)?;

@@ -17,7 +17,8 @@ use serde_json::json;
 use crate::Failure;
 use crate::cli::BenchArgs;
 use crate::cores::CoreClaim;
-use crate::pipeline::Plan;
+use crate::pipeline::{Interrupts, Plan};
+use crate::terminal::{say, tell};
 use crate::restart::Budget;
 use crate::train::run;
 
@@ -34,7 +35,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
         let (mut ring, mut pipeline) = (Vec::new(), Vec::new());
         for round in 0..args.rounds {
             if !args.json {
-                eprintln!("fleet of {fleet}: round {} of {}", round + 1, args.rounds);
+                tell!("fleet of {fleet}: round {} of {}", round + 1, args.rounds);
             }
             ring.push(ring_ns(fleet)?);
             pipeline.push(pipeline_ns(fleet)?);
@@ -54,7 +55,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
                 })
             })
             .collect();
-        println!("{}", json!({ "rows": rows }));
+        say!("{}", json!({ "rows": rows }));
         return Ok(());
     }
     let mut table = Table::new();
@@ -73,8 +74,8 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
             ]);
         }
     }
-    println!("{table}");
-    println!(
+    say!("{table}");
+    say!(
         "medians of {} rounds, ring and pipeline in turn, all processes of each on one core",
         args.rounds
     );
@@ -104,6 +105,7 @@ fn ring_ns_on(names: &RunNames, fleet: usize) -> anyhow::Result<f64> {
         incarnation: 1,
         core: claim.as_ref().map(|claim| claim.core),
         parent: std::process::id() as i32,
+        chaos: None,
     };
     let start = |arguments: &[&str]| -> anyhow::Result<Killed> {
         let child = Command::new("/proc/self/exe")
@@ -152,7 +154,9 @@ fn pipeline_ns(fleet: usize) -> Result<f64, Failure> {
         launch: Launch::train(),
         folder: folder.clone(),
         budget: Budget::default(),
+        chaos: None,
         quiet: true,
+        interrupted: Interrupts::new()?,
     };
     let facts = run(&plan);
     let _ = std::fs::remove_dir_all(folder);

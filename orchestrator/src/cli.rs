@@ -20,6 +20,40 @@ pub enum Command {
     Train(TrainArgs),
     /// Measure what a tick costs, beside a bare ring of the same bytes
     Bench(BenchArgs),
+    /// List the living runs
+    Status {
+        /// Print them as JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Stop a living run
+    Stop {
+        /// The start of its number, or its folder; may be left out if there is only one
+        run: Option<String>,
+    },
+    /// Print the ends of a run's logs
+    Logs {
+        /// The start of a living run's number, or a folder; may be left out if there is only one
+        run: Option<String>,
+        /// Only of this process
+        #[arg(long, value_name = "NAME")]
+        process: Option<String>,
+        /// Lines of each
+        #[arg(long, value_name = "N", default_value_t = 20)]
+        lines: usize,
+    },
+    /// Remove what dead runs left behind
+    Clean {
+        /// Only say what would be removed
+        #[arg(long)]
+        dry_run: bool,
+    },
+    /// Check what a run needs of this machine, and say what to do
+    Doctor {
+        /// Print the findings as JSON
+        #[arg(long)]
+        json: bool,
+    },
     /// Show or write the presets
     #[command(subcommand)]
     Config(ConfigCommand),
@@ -41,7 +75,18 @@ pub enum Command {
   pathtune train lane_change --replace vehicle='python3 my_vehicle.py'")]
 pub struct TrainArgs {
     /// The manoeuvre: lane_change or roundabout
-    pub maneuver: String,
+    #[arg(required_unless_present = "resume")]
+    pub maneuver: Option<String>,
+    /// Go on with a training that was stopped or killed, to the same result
+    #[arg(
+        long,
+        value_name = "DIR",
+        conflicts_with_all = [
+            "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "tuner", "out",
+            "config", "set", "launch", "replace",
+        ]
+    )]
+    pub resume: Option<PathBuf>,
     /// Learning rates, one learner each, in (0, 1]
     #[arg(long, value_delimiter = ',', value_name = "A,B,…", allow_negative_numbers = true)]
     pub alphas: Option<Vec<f64>>,
@@ -81,6 +126,12 @@ pub struct TrainArgs {
     /// Restarts that each process gets in ten seconds
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub restart_budget: u32,
+    /// Faults on purpose, as in 'kill controller@drive=12,tick=300; stop simulator@drive=20 for 2s; drop command p=0.001; delay odometry 5ms; random:2'
+    #[arg(long, value_name = "SCRIPT")]
+    pub chaos: Option<String>,
+    /// Seed of random faults
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub chaos_seed: u64,
     /// No progress
     #[arg(long, short)]
     pub quiet: bool,
@@ -141,6 +192,11 @@ pub enum ServiceCommand {
     },
     /// Cleans dead nodes off the bus, and ends
     Cleaner,
+    /// Wakes a frozen process after some milliseconds
+    Wake {
+        pid: i32,
+        after_ms: u64,
+    },
     /// Becomes a user's program
     Exec {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]

@@ -15,14 +15,17 @@ use ipc_types::{
 };
 use runtime::clock::now_ns;
 use runtime::run::RunNames;
-use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting, cleanup};
+use runtime::chaos::{self, Script};
+use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
 use crate::Failure;
 use crate::cores::CoreClaim;
-use crate::process::{Process, clean_dead_nodes, describe, last_lines};
+use crate::process::{Process, clean_up_behind, describe, last_lines};
 use crate::progress::Progress;
+use crate::housekeeping::{ProcessState, RunState};
+use crate::recovery::{RandomKills, Recoveries};
 use crate::report::{ProcessFacts, RunFacts};
 use crate::restart::{Budget, Decision, RestartPolicy};
 use crate::sequencer::Sequencer;
@@ -31,6 +34,8 @@ use crate::sequencer::Sequencer;
 const READY_WITHIN_NS: u64 = 5_000_000_000;
 /// A ready process that shows no sign of life for this long is taken for frozen: five beats.
 const BEATS_WITHIN_NS: u64 = 500_000_000;
+/// A batch without a tick for so long has lost a message; progress is told with each sign of life.
+const STALLED_AFTER_NS: u64 = 500_000_000;
 /// A process that was asked to stop gets this long.
 const STOPS_WITHIN: Duration = Duration::from_secs(5);
 /// Longest sleep of the orchestrator: deaths and messages wake it, deadlines do not.
@@ -44,7 +49,34 @@ pub(crate) struct Plan {
     pub(crate) launch: Launch,
     pub(crate) folder: PathBuf,
     pub(crate) budget: Budget,
+    /// Faults on purpose: the script with its seed.
+    pub(crate) chaos: Option<(String, u64)>,
     pub(crate) quiet: bool,
+    pub(crate) interrupted: Interrupts,
+}
+
+/// Signals that ask for the end.
+#[derive(Debug, Clone)]
+pub(crate) struct Interrupts(Arc<AtomicUsize>);
+
+impl Interrupts {
+    /// Catches them from now on.
+    pub(crate) fn new() -> Result<Self, Failure> {
+        use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+        let last = Arc::new(AtomicUsize::new(0));
+        for signal in [SIGINT, SIGTERM, SIGHUP] {
+            signal_hook::flag::register_usize(signal, last.clone(), signal as usize)?;
+        }
+        Ok(Self(last))
+    }
+
+    /// The one that came last, if any did.
+    fn signal(&self) -> Option<i32> {
+        match self.0.load(Ordering::Relaxed) {
+            0 => None,
+            signal => Some(signal as i32),
+        }
+    }
 }
 
 /// A running pipeline.
@@ -61,9 +93,15 @@ pub(crate) struct Pipeline<'a> {
     members: Vec<Member>,
     sequencer: Sequencer,
     progress: &'a mut Progress,
-    interrupted: Arc<AtomicUsize>,
-    /// Somebody of the ring died: the batch under way will not end.
+    interrupted: Interrupts,
+    /// Somebody of the ring died, or a message was lost: the batch under way will not end.
     batch_is_broken: bool,
+    /// The latest batch and tick that anybody reported, and when anybody's last changed.
+    seen: (u64, u64),
+    seen_ns: u64,
+    random_kills: RandomKills,
+    recoveries: Recoveries,
+    state_file: StateFile,
     /// The trainer has written its outcome.
     is_over: bool,
     /// When the batch under way was issued; time and ticks of all batches before.
@@ -84,6 +122,8 @@ struct Member {
     policy: RestartPolicy,
     incarnation: u64,
     pid: u32,
+    /// Batch and tick that it reported last.
+    seen: (u64, u64),
 }
 
 enum State {
@@ -115,10 +155,14 @@ impl<'a> Pipeline<'a> {
         let max_len = config.fleet().max(config.run.alphas.len());
         let bus = Bus::create(names, max_len)?;
         let core = CoreClaim::new();
-        let interrupted = Arc::new(AtomicUsize::new(0));
-        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-            signal_hook::flag::register_usize(signal, interrupted.clone(), signal as usize)?;
-        }
+        let random_kills = match &plan.chaos {
+            None => RandomKills::new(0.0, 1),
+            Some((script, seed)) => {
+                let script = Script::parse(script)
+                    .map_err(|why| Failure::User(format!("--chaos: {why}")))?;
+                RandomKills::new(script.random_per_s, *seed)
+            }
+        };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
         let members = plan.launch.process.iter().map(|entry| Member::new(entry, plan)).collect();
@@ -130,6 +174,7 @@ impl<'a> Pipeline<'a> {
                 incarnation: 0,
                 core: core.as_ref().map(|claim| claim.core),
                 parent: std::process::id() as i32,
+                chaos: plan.chaos.clone(),
             },
             alarm: bus.alarm(WakeRole::Orchestrator)?,
             status: bus.inlet()?,
@@ -142,8 +187,13 @@ impl<'a> Pipeline<'a> {
             members,
             sequencer: Sequencer::new(names.run, start, config.noise.enabled, config.fleet()),
             progress,
-            interrupted,
+            interrupted: plan.interrupted.clone(),
             batch_is_broken: false,
+            seen: (0, 0),
+            seen_ns: 0,
+            random_kills,
+            recoveries: Recoveries::default(),
+            state_file: StateFile::new(names, plan),
             is_over: false,
             issued_ns: 0,
             driving_ns: 0,
@@ -161,6 +211,7 @@ impl<'a> Pipeline<'a> {
         result?;
         Ok(RunFacts {
             counts: self.sequencer.counts(),
+            recovery: self.recoveries.to_json(chaos::fired(&self.attachment.names.root)),
             processes: self.members.iter().map(Member::facts).collect(),
             wall_s: (now_ns() - self.started_ns) as f64 / 1e9,
             tick_ns: self.driving_ns as f64 / self.driving_ticks.max(1) as f64,
@@ -170,12 +221,12 @@ impl<'a> Pipeline<'a> {
     fn loop_until_over(&mut self) -> Result<(), Failure> {
         let mut waiting = Waiting::default();
         loop {
-            let signal = self.interrupted.load(Ordering::Relaxed);
-            if signal != 0 {
-                return Err(Failure::Interrupted(signal as i32));
+            if let Some(signal) = self.interrupted.signal() {
+                return Err(Failure::Interrupted(signal));
             }
             let mut heard = self.hear_status()?;
             self.look_after_members()?;
+            self.look_after_batch();
             heard |= self.hear_trainer()?;
             heard |= self.hear_controller()?;
             if self.is_over {
@@ -207,6 +258,12 @@ impl<'a> Pipeline<'a> {
             else {
                 continue;
             };
+            // Each against itself: they stand at different ticks, even when all stand still.
+            if (status.batch, status.tick) != member.seen {
+                member.seen = (status.batch, status.tick);
+                self.seen = self.seen.max(member.seen);
+                self.seen_ns = now_ns();
+            }
             if member.beat(now_ns()) {
                 tracing::info!(process = member.name, pid = member.pid, "ready");
                 if member.entry.role == Role::Vehicle {
@@ -286,7 +343,31 @@ impl<'a> Pipeline<'a> {
         let header = BatchHeader { sent_ns: now_ns(), ..header };
         self.requests.send(header, drives.len(), |index| drives[index])?;
         self.issued_ns = header.sent_ns;
+        self.seen_ns = header.sent_ns;
+        self.recoveries.mended(now_ns());
         Ok(())
+    }
+
+    /// A batch without a tick for so long has lost a message: it is driven again.
+    ///
+    /// A vehicle that may take its time to come to the start is waited for until its first tick.
+    fn look_after_batch(&mut self) {
+        let now = now_ns();
+        self.state_file.write(now, &self.members, &self.sequencer, self.seen);
+        let patient = self.members.iter().any(|member| !member.entry.is_deterministic());
+        let waits_for_start = patient && self.seen_ns <= self.issued_ns;
+        if !self.sequencer.is_driving()
+            || self.batch_is_broken
+            || waits_for_start
+            || now.saturating_sub(self.seen_ns) < STALLED_AFTER_NS
+            || !self.members.iter().all(Member::is_ready)
+        {
+            return;
+        }
+        tracing::warn!(batch = self.sequencer.batch(), seen = ?self.seen, "stalled");
+        self.recoveries.stalls += 1;
+        self.recoveries.broken(self.seen_ns);
+        self.batch_is_broken = true;
     }
 
     /// Starts who is due, in order; replaces who died or froze.
@@ -296,6 +377,13 @@ impl<'a> Pipeline<'a> {
             return Ok(());
         }
         self.reaped_ns = now;
+        if let Some(index) = self.random_kills.due(now, self.members.len())
+            && let Some(process) = self.members[index].state.process()
+        {
+            process.kill();
+            self.recoveries.killed_at_random += 1;
+            self.recoveries.broken(now);
+        }
         for index in 0..self.members.len() {
             if let Some(why) = self.members[index].trouble(now) {
                 self.replace(index, &why)?;
@@ -321,11 +409,10 @@ impl<'a> Pipeline<'a> {
         }
         let pid = member.pid;
         let (now, jitter) = (now_ns(), f64::from(pid % 97) / 97.0);
+        self.recoveries.broken(now);
         let decision = member.policy.died(now, jitter);
         tracing::warn!(process = member.name, pid, why, ?decision, "replacing");
-        cleanup::remove_half_made(&self.attachment.names, pid);
-        clean_dead_nodes(&self.attachment);
-        cleanup::remove_leftovers(&self.attachment.names, pid);
+        clean_up_behind(&self.attachment, pid).map_err(Failure::Other)?;
         if member.entry.role != Role::Trainer {
             self.batch_is_broken = self.sequencer.is_driving();
         }
@@ -349,7 +436,10 @@ impl<'a> Pipeline<'a> {
                 fds.push(PollFd::new(&process.pidfd, PollFlags::IN));
             }
         }
-        let nap = Timespec { tv_sec: 0, tv_nsec: NAP_NS };
+        let until_kill = self.random_kills.next_ns().map_or(NAP_NS, |due_ns| {
+            due_ns.saturating_sub(now_ns()).min(NAP_NS as u64) as i64
+        });
+        let nap = Timespec { tv_sec: 0, tv_nsec: until_kill };
         // A signal ends it early, which is as good as a message.
         let _ = poll(&mut fds, Some(&nap));
         self.alarm.clear();
@@ -384,6 +474,7 @@ impl Member {
             policy: RestartPolicy::new(plan.budget),
             incarnation: 0,
             pid: 0,
+            seen: (0, 0),
         }
     }
 
@@ -459,6 +550,16 @@ impl Member {
         ))
     }
 
+    fn state(&self) -> ProcessState {
+        let state = match self.state {
+            State::Down { .. } => "down",
+            State::Starting { .. } => "starting",
+            State::Ready { .. } => "ready",
+        };
+        let ProcessFacts { name, pid, restarts } = self.facts();
+        ProcessState { name: name.to_owned(), pid, restarts, state: state.to_owned() }
+    }
+
     fn facts(&self) -> ProcessFacts {
         ProcessFacts {
             name: self.name,
@@ -468,7 +569,46 @@ impl Member {
     }
 }
 
-/// Reads the names of a run's log folder; here so that everything about members stays together.
+/// What `pathtune status` reads: one file in the run's private folder.
+struct StateFile {
+    path: PathBuf,
+    state: RunState,
+    written_ns: u64,
+}
+
+impl StateFile {
+    /// Between two writes.
+    const EVERY_NS: u64 = 200_000_000;
+
+    fn new(names: &RunNames, plan: &Plan) -> Self {
+        let state = RunState {
+            run: format!("{:016x}", names.run),
+            pid: std::process::id(),
+            maneuver: plan.config.maneuver.clone(),
+            folder: plan.folder.clone(),
+            batch: 0,
+            attempt: 0,
+            tick: 0,
+            processes: Vec::new(),
+        };
+        Self { path: names.root.join(RunState::FILE), state, written_ns: 0 }
+    }
+
+    fn write(&mut self, now_ns: u64, members: &[Member], sequencer: &Sequencer, seen: (u64, u64)) {
+        if now_ns - self.written_ns < Self::EVERY_NS {
+            return;
+        }
+        self.written_ns = now_ns;
+        let state = &mut self.state;
+        (state.batch, state.attempt) = (sequencer.batch(), sequencer.attempt());
+        state.tick = if seen.0 == state.batch { seen.1 } else { 0 };
+        state.processes = members.iter().map(Member::state).collect();
+        // Only for people to look at: a failure is no reason to stop a training.
+        let _ = state.write(&self.path);
+    }
+}
+
+/// The orchestrator's own log, beside those of its processes.
 pub(crate) fn log_of_orchestrator(folder: &Path) -> PathBuf {
     folder.join("logs").join("orchestrator.log")
 }

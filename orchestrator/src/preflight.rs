@@ -51,8 +51,25 @@ pub(crate) fn make_folder(folder: &Path) -> Result<PathBuf, Failure> {
     Ok(folder)
 }
 
+/// Locks an output folder: two trainings in one would write the same journal.
+pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
+    let path = folder.join("lock");
+    let fail = |why: String| Failure::User(format!("{}: {why}", folder.display()));
+    let file = fs::File::create(&path).map_err(|error| fail(format!("cannot be written: {error}")))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(fs::TryLockError::WouldBlock) => {
+            Err(fail("a living run trains in this folder; `pathtune status` tells which".to_owned()))
+        }
+        Err(fs::TryLockError::Error(error)) => Err(fail(format!("cannot be locked: {error}"))),
+    }
+}
+
 /// Removes an output folder in which nothing has happened yet.
 pub(crate) fn unmake_folder(folder: &Path) {
+    for name in ["config.toml", "launch.toml", "lock", "logs/orchestrator.log"] {
+        let _ = fs::remove_file(folder.join(name));
+    }
     let _ = fs::remove_dir(folder.join("logs"));
     let _ = fs::remove_dir(folder);
 }

@@ -3,6 +3,7 @@
 use std::fs;
 
 use crate::Failure;
+use crate::terminal::say;
 use crate::cli::ConfigCommand;
 
 /// Prints or writes the embedded presets.
@@ -23,7 +24,7 @@ pub fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
                 )));
             }
             for preset in shown {
-                println!("#### {}\n{}", preset.path, preset.text);
+                say!("#### {}\n{}", preset.path, preset.text);
             }
         }
         ConfigCommand::Init { folder } => {
@@ -44,7 +45,7 @@ pub fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
                     .map_err(|error| {
                         Failure::User(format!("{}: cannot be written: {error}", path.display()))
                     })?;
-                println!("{}", path.display());
+                say!("{}", path.display());
             }
         }
     }

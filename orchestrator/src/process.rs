@@ -1,15 +1,15 @@
 //! Starts and ends processes. Decides nothing.
 
 use std::fs::{File, OpenOptions};
-use std::io;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::os::fd::OwnedFd;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use config::launch::ProcessEntry;
-use runtime::Attachment;
+use runtime::{Attachment, cleanup};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process_group, pidfd_open};
 
 /// A living process of the pipeline, in a process group of its own.
@@ -125,8 +125,36 @@ pub fn exec(words: &[String]) -> anyhow::Error {
     anyhow::Error::new(error).context(format!("failed to execute {program}"))
 }
 
+/// Removes what the dead process `pid` left on the bus.
+///
+/// # Errors
+/// If the helper that cleans dead nodes fails time after time.
+pub fn clean_up_behind(attachment: &Attachment, pid: u32) -> anyhow::Result<()> {
+    let names = &attachment.names;
+    cleanup::remove_half_made(names, pid);
+    let mut helpers = Vec::new();
+    // The helper may be killed like anybody else. Until one has succeeded, the dead node's own files must
+    // stay: they tell whose places on the topics are free again.
+    while !clean_dead_nodes(attachment, &mut helpers) {
+        if helpers.len() >= HELPERS {
+            anyhow::bail!("the clean-up helper failed {HELPERS} times; start again with --resume");
+        }
+        if let Some(helper) = helpers.last() {
+            cleanup::remove_half_made(names, *helper);
+        }
+    }
+    for dead in helpers.into_iter().chain([pid]) {
+        cleanup::remove_leftovers(names, dead);
+    }
+    Ok(())
+}
+
+/// Helpers that may fail behind one death.
+const HELPERS: usize = 10;
+
 /// Runs the helper that cleans dead nodes off the bus; kills it if it hangs, as it may on half-made files.
-pub fn clean_dead_nodes(attachment: &Attachment) {
+/// Whether it succeeded.
+fn clean_dead_nodes(attachment: &Attachment, helpers: &mut Vec<u32>) -> bool {
     let helper = Command::new("/proc/self/exe")
         .arg0("pathtune")
         .args(["service", "cleaner"])
@@ -136,32 +164,51 @@ pub fn clean_dead_nodes(attachment: &Attachment) {
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn();
-    let Ok(mut helper) = helper else { return };
+    let Ok(mut helper) = helper else { return false };
+    helpers.push(helper.id());
     let until = Instant::now() + Duration::from_secs(3);
     while Instant::now() < until {
-        if helper.try_wait().ok().flatten().is_some() {
-            return;
+        if let Ok(Some(status)) = helper.try_wait() {
+            return status.success();
         }
         std::thread::sleep(Duration::from_millis(1));
     }
     tracing::warn!("the clean-up helper hung, and was killed");
     let _ = helper.kill();
     let _ = helper.wait();
+    false
 }
 
 /// How a process died, for people.
 pub fn describe(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
         (Some(code), _) => format!("ended with exit code {code}"),
+        (None, Some(7)) => "was ended by a bus error; is /dev/shm full?".to_owned(),
         (None, Some(signal)) => format!("was ended by signal {signal}"),
         (None, None) => "ended".to_owned(),
     }
 }
 
-/// The last lines of a log.
-pub fn last_lines(log: &PathBuf, count: usize) -> Vec<String> {
-    let text = std::fs::read(log).unwrap_or_default();
-    let text = String::from_utf8_lossy(&text);
+/// The last lines of a log, made fit for a terminal: a foreign program may have written anything.
+pub fn last_lines(log: &Path, count: usize) -> Vec<String> {
+    let mut bytes = Vec::new();
+    let read = File::open(log).and_then(|mut file| {
+        let length = file.metadata()?.len();
+        file.seek(SeekFrom::Start(length.saturating_sub(LOG_END)))?;
+        file.take(LOG_END).read_to_end(&mut bytes)
+    });
+    if read.is_err() {
+        return Vec::new();
+    }
+    let text = String::from_utf8_lossy(&bytes);
     let lines: Vec<&str> = text.lines().collect();
-    lines[lines.len().saturating_sub(count)..].iter().map(|line| (*line).to_owned()).collect()
+    lines[lines.len().saturating_sub(count)..]
+        .iter()
+        .map(|line| line.chars().filter(|c| !c.is_control()).take(LINE_LENGTH).collect())
+        .collect()
 }
+
+/// How much of a log's end is looked at.
+const LOG_END: u64 = 64 << 10;
+/// Characters of a log's line that are shown.
+const LINE_LENGTH: usize = 400;

@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ipc_types::LearnerProgress;
 
 use crate::sequencer::Counts;
+use crate::terminal::tell;
 
 /// How often the terminal is drawn anew.
 const REDRAW: Duration = Duration::from_millis(100);
@@ -40,7 +41,7 @@ impl Progress {
         tracing::warn!("{text}");
         if self.quiet {
         } else if self.bar.is_hidden() {
-            eprintln!("pathtune: {text}");
+            tell!("pathtune: {text}");
         } else {
             self.bar.println(format!("pathtune: {text}"));
         }
@@ -60,7 +61,7 @@ impl Progress {
         self.bar.set_position(done);
         self.bar.set_message(message.clone());
         if self.bar.is_hidden() {
-            eprintln!("{message}");
+            tell!("{message}");
         }
     }
 

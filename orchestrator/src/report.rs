@@ -9,12 +9,16 @@ use comfy_table::{CellAlignment, Table};
 use config::RunConfig;
 use serde_json::{Value, json};
 
+use crate::Failure;
 use crate::sequencer::Counts;
+use crate::terminal::say;
 
 /// What only the orchestrator knows of a run.
 pub(crate) struct RunFacts {
     pub(crate) counts: Counts,
     pub(crate) processes: Vec<ProcessFacts>,
+    /// Faults and recoveries.
+    pub(crate) recovery: Value,
     pub(crate) wall_s: f64,
     /// Mean time of a tick, from the request of a batch to its report.
     pub(crate) tick_ns: f64,
@@ -59,6 +63,7 @@ pub(crate) fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) 
             "pid": process.pid,
             "restarts": process.restarts,
         })).collect::<Vec<_>>(),
+        "recovery": facts.recovery,
         "tick_ns": facts.tick_ns,
         "vehicle_s": vehicle_s,
         "wall_s": facts.wall_s,
@@ -74,7 +79,7 @@ pub(crate) fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) 
 }
 
 /// The table at the end of a training.
-pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) {
+pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) -> Result<(), Failure> {
     let size = result["grid"]["size"].as_u64().unwrap_or_default();
     let mut table = Table::new();
     table
@@ -106,11 +111,11 @@ pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) {
     row(tuner, result, &result["grid"]);
     row("plain Q beside it", &result["plain_q"], &result["plain_q"]);
     row("the paper's set", &result["paper"], &result["paper"]);
-    println!("{table}");
+    say!("{table}");
 
     let text = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
     let grid = &result["grid"];
-    println!(
+    say!(
         "ranks among all {size} sets of the grid, noise-free; its best: distance {:.4}, mse {:.4} m²",
         text(&grid["best_distance"]),
         text(&grid["best_mse_m2"]),
@@ -118,23 +123,36 @@ pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) {
     let bounds: Vec<&str> =
         result["on_bound"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     if !bounds.is_empty() {
-        println!("on a bound of the grid: {}; better gains may lie beyond it", bounds.join(", "),);
+        say!("on a bound of the grid: {}; better gains may lie beyond it", bounds.join(", "),);
     }
     let drives = &result["drives"];
-    println!(
+    say!(
         "{} drives asked for ({} by plain Q), {} driven, {} again behind a crash; the grid holds {size}",
         drives["asked"], result["plain_q"]["asked"], drives["driven"], drives["reissued"],
     );
-    println!(
+    let recovery = &result["recovery"];
+    if recovery["recoveries"].as_u64().unwrap_or_default() > 0 {
+        let time = &recovery["death_to_tick_ms"];
+        say!(
+            "{} faults injected, {} recoveries; from death to the next tick p50 {:.0} ms, p99 {:.0} ms, max {:.0} ms",
+            recovery["injected"],
+            recovery["recoveries"],
+            text(&time["p50"]),
+            text(&time["p99"]),
+            text(&time["max"]),
+        );
+    }
+    say!(
         "{:.0} s of driving in {:.1} s: {:.0} x real time",
         text(&result["vehicle_s"]),
         text(&result["wall_s"]),
         text(&result["real_time_factor"]),
     );
-    println!("digest {}", result["digest"].as_str().unwrap_or_default());
+    say!("digest {}", result["digest"].as_str().unwrap_or_default());
     let path = folder.join("result.json");
     let here = std::env::current_dir().unwrap_or_default();
-    println!("{}", path.strip_prefix(here).unwrap_or(&path).display());
+    say!("{}", path.strip_prefix(here).unwrap_or(&path).display());
+    Ok(())
 }
 
 /// A gain with as many digits as it needs.

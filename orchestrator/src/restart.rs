@@ -56,10 +56,11 @@ impl RestartPolicy {
         let oldest_ns = now_ns.saturating_sub(self.budget.within.as_nanos() as u64);
         self.deaths_ns.retain(|death_ns| *death_ns >= oldest_ns);
         self.deaths_ns.push_back(now_ns);
-        if self.deaths_ns.len() > self.budget.restarts as usize {
+        self.in_a_row += 1;
+        // Deaths that come slowly, as by a deadline, are as bad if nothing works between them.
+        if self.deaths_ns.len().max(self.in_a_row as usize) > self.budget.restarts as usize {
             return Decision::GiveUp;
         }
-        self.in_a_row += 1;
         if self.in_a_row == 1 {
             return Decision::Restart(Duration::ZERO);
         }
@@ -103,8 +104,18 @@ mod tests {
         assert_eq!(policy.died(SECOND, 0.5), Decision::GiveUp);
         let mut slow = RestartPolicy::new(Budget::default());
         for death in 0..100 {
+            slow.works();
             assert_ne!(slow.died(death * SECOND * 5 / 2, 0.5), Decision::GiveUp);
         }
+    }
+
+    #[test]
+    fn slow_deaths_count_too_if_nothing_works_between_them() {
+        let mut policy = RestartPolicy::new(Budget::default());
+        for death in 0..5 {
+            assert_ne!(policy.died(death * 60 * SECOND, 0.5), Decision::GiveUp);
+        }
+        assert_eq!(policy.died(300 * SECOND, 0.5), Decision::GiveUp);
     }
 
     #[test]

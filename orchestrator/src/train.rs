@@ -8,38 +8,57 @@ use std::time::Duration;
 use anyhow::Context;
 use config::launch::Launch;
 use config::{Layers, RunConfig};
+use runtime::chaos::Script;
 use runtime::run::{LOCK_FILE, RunNames, sweep_dead_runs};
 
 use crate::cli::{TrainArgs, TunerArg};
-use crate::pipeline::{Pipeline, Plan, log_of_orchestrator};
+use crate::pipeline::{Interrupts, Pipeline, Plan, log_of_orchestrator};
 use crate::progress::Progress;
 use crate::report::{RunFacts, print_table, write_result};
 use crate::restart::Budget;
+use crate::terminal::say;
 use crate::{Failure, preflight};
 
-/// Trains a manoeuvre to its end.
+/// Trains a manoeuvre to its end, or goes on with a training that was interrupted.
 ///
 /// # Errors
 /// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
 pub fn train(args: &TrainArgs) -> Result<(), Failure> {
-    let launch = resolve_launch(args)?;
-    let config = resolve_config(args, &launch)?;
+    // First of all: from here on a signal ends in order.
+    let interrupted = Interrupts::new()?;
+    if let Some(script) = &args.chaos {
+        Script::parse(script).map_err(|why| Failure::User(format!("--chaos: {why}")))?;
+    }
+    let (config, launch) = match &args.resume {
+        Some(folder) => resolved_before(folder)?,
+        None => {
+            let launch = resolve_launch(args)?;
+            (resolve_config(args, &launch)?, launch)
+        }
+    };
     preflight::check_commands(&launch)?;
     sweep_dead_runs();
     preflight::check_shared_memory(config.fleet().max(config.run.alphas.len()))?;
-    let folder = preflight::make_folder(&folder_of(args, &config))?;
+    let folder = match &args.resume {
+        Some(folder) => fs::canonicalize(folder)?,
+        None => preflight::make_folder(&folder_of(args, &config))?,
+    };
+    // Held until the end: as long as it is, nobody else trains in this folder.
+    let _lock = preflight::lock_folder(&folder)?;
     let plan = Plan {
         config,
         launch,
         folder,
         budget: Budget { restarts: args.restart_budget, within: Duration::from_secs(10) },
+        chaos: args.chaos.clone().map(|script| (script, args.chaos_seed)),
         quiet: args.quiet || args.json,
+        interrupted,
     };
 
     let facts = match run(&plan) {
         Ok(facts) => facts,
         Err(failure) => {
-            if matches!(failure, Failure::User(_)) {
+            if matches!(failure, Failure::User(_)) && args.resume.is_none() {
                 preflight::unmake_folder(&plan.folder);
             }
             return Err(failure);
@@ -47,15 +66,34 @@ pub fn train(args: &TrainArgs) -> Result<(), Failure> {
     };
     let result = write_result(&plan.folder, &plan.config, &facts)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&result).context("result.json")?);
+        say!("{}", serde_json::to_string_pretty(&result).context("result.json")?);
     } else {
-        print_table(&plan.config, &result, &plan.folder);
+        print_table(&plan.config, &result, &plan.folder)?;
     }
     Ok(())
 }
 
+/// The configuration and processes of a training that was interrupted.
+fn resolved_before(folder: &Path) -> Result<(RunConfig, Launch), Failure> {
+    let read = |name: &str| {
+        let path = folder.join(name);
+        fs::read_to_string(&path).map_err(|error| {
+            Failure::User(format!("--resume {}: no training to go on with: {error}", path.display()))
+        })
+    };
+    let config = RunConfig::from_resolved(&read("config.toml")?)?;
+    let launch = Launch::parse("launch.toml", &read("launch.toml")?)?;
+    Ok((config, launch))
+}
+
 /// Runs the pipeline; whatever happens, nothing of it stays in shared memory.
 pub(crate) fn run(plan: &Plan) -> Result<RunFacts, Failure> {
+    let names = RunNames::create().map_err(|error| Failure::User(error.to_string()))?;
+    let names = Removed(names);
+    // Held until the end: as long as it is, nobody sweeps this run away.
+    let lock = File::create(names.0.root.join(LOCK_FILE))?;
+    lock.lock()?;
+
     let folder = &plan.folder;
     let text = toml::to_string(&plan.config).context("the configuration")?;
     write(&folder.join("config.toml"), &text)?;
@@ -63,20 +101,23 @@ pub(crate) fn run(plan: &Plan) -> Result<RunFacts, Failure> {
     write(&folder.join("launch.toml"), &text)?;
     log_to(&log_of_orchestrator(folder))?;
 
-    let names = RunNames::create().map_err(|error| Failure::User(error.to_string()))?;
-    // Held until the end: as long as it is, nobody sweeps this run away.
-    let lock = File::create(names.root.join(LOCK_FILE))?;
-    lock.lock()?;
-    let span = tracing::info_span!("run", run = format!("{:016x}", names.run));
-    let result = span.in_scope(|| {
+    let span = tracing::info_span!("run", run = format!("{:016x}", names.0.run));
+    span.in_scope(|| {
         let mut progress = Progress::new(plan.quiet, plan.config.drive.tick_s);
-        let result = Pipeline::new(plan, &names, &mut progress)
+        let result = Pipeline::new(plan, &names.0, &mut progress)
             .and_then(|mut pipeline| pipeline.run_to_end());
         progress.finish();
         result
-    });
-    names.remove();
-    result
+    })
+}
+
+/// Everything of a run, removed with this.
+struct Removed(RunNames);
+
+impl Drop for Removed {
+    fn drop(&mut self) {
+        self.0.remove();
+    }
 }
 
 fn write(path: &Path, text: &str) -> Result<(), Failure> {
@@ -107,7 +148,7 @@ fn resolve_launch(args: &TrainArgs) -> Result<Launch, Failure> {
 }
 
 fn resolve_config(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failure> {
-    let mut layers = Layers::maneuver(&args.maneuver)?;
+    let mut layers = Layers::maneuver(args.maneuver.as_deref().unwrap_or_default())?;
     if let Some(file) = &args.config {
         layers.add_document(&file.display().to_string(), &read(file, "--config")?)?;
     }

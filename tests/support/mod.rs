@@ -69,6 +69,21 @@ impl Sandbox {
         Training { sandbox: self, child: Some(child), out: out.to_owned() }
     }
 
+    /// Goes on with a training in the background.
+    pub fn resume_training(&self, out: &str, args: &[&str]) -> Training<'_> {
+        let mut all = vec!["train", "--resume", out];
+        all.extend(args);
+        let child = self.command(&all).spawn().unwrap();
+        Training { sandbox: self, child: Some(child), out: out.to_owned() }
+    }
+
+    /// The one run that this sandbox has seen.
+    pub fn only_run(&self) -> u64 {
+        let runs = self.runs();
+        assert_eq!(runs.len(), 1);
+        runs[0]
+    }
+
     pub fn result(&self, out: &str) -> Value {
         let path = self.path(out).join("result.json");
         let text = fs::read(&path).unwrap_or_else(|error| panic!("{path:?}: {error}"));

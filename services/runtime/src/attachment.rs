@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 
+use crate::chaos;
 use crate::run::RunNames;
 
 /// Where a process belongs: the variables that the orchestrator sets for each of its children.
@@ -21,6 +22,8 @@ pub struct Attachment {
     pub core: Option<usize>,
     /// The orchestrator's process id.
     pub parent: i32,
+    /// Faults on purpose, with their seed; see [`crate::chaos`].
+    pub chaos: Option<(String, u64)>,
 }
 
 const RUN: &str = "PATHTUNE_RUN";
@@ -61,6 +64,7 @@ impl Attachment {
                 .parse()
                 .with_context(|| format!("malformed {INCARNATION}"))?,
             core,
+            chaos: None,
             parent: text(PARENT)?.parse().with_context(|| format!("malformed {PARENT}"))?,
         })
     }
@@ -76,6 +80,10 @@ impl Attachment {
             (INCARNATION, self.incarnation.to_string()),
             (PARENT, self.parent.to_string()),
         ];
+        if let Some((script, seed)) = &self.chaos {
+            env.push((chaos::SCRIPT, script.clone()));
+            env.push((chaos::SEED, seed.to_string()));
+        }
         if let Some(core) = self.core {
             env.push((CORE, core.to_string()));
         }

@@ -22,6 +22,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use ipc_types::topics::{MAX_NODES, MAX_SUBSCRIBERS, OBSERVER_BUFFER};
 use ipc_types::{Message, WakeRole, for_each_topic};
 
+use crate::chaos::Disturbance;
 use crate::clock::now_ns;
 use crate::run::RunNames;
 
@@ -150,7 +151,8 @@ impl Bus {
         self.outlets.borrow_mut().push(publisher.clone());
         let wakes =
             M::TOPIC.wakes.iter().map(|role| self.notifier(*role)).collect::<Result<_, _>>()?;
-        Ok(Outlet { topic, publisher, wakes, last_send_ns: Cell::new(0) })
+        let disturbance = Disturbance::from_env(M::TOPIC.name);
+        Ok(Outlet { topic, publisher, wakes, last_send_ns: Cell::new(0), disturbance })
     }
 
     /// The right to hear messages of one kind, as a participant.
@@ -256,6 +258,7 @@ pub struct Outlet<M: Message> {
     publisher: Rc<Publisher<ipc::Service, [M], M::Header>>,
     wakes: Vec<Notifier<ipc::Service>>,
     last_send_ns: Cell<u64>,
+    disturbance: Option<Disturbance>,
 }
 
 impl<M: Message> Outlet<M> {
@@ -299,6 +302,9 @@ impl<M: Message> Outlet<M> {
         len: usize,
         write: impl FnMut(usize) -> M,
     ) -> Result<(), BusError> {
+        if self.disturbance.as_ref().is_some_and(Disturbance::swallows) {
+            return Ok(());
+        }
         let mut sample = self
             .publisher
             .loan_slice_uninit(len)

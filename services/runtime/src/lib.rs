@@ -6,6 +6,7 @@
 
 mod attachment;
 mod bus;
+pub mod chaos;
 pub mod cleanup;
 pub mod clock;
 pub mod logging;

@@ -66,8 +66,8 @@ fn run_of_segment(name: &str) -> Option<u64> {
 /// The folder that holds the runs of this user.
 pub fn base_folder() -> PathBuf {
     match std::env::var_os("XDG_RUNTIME_DIR").filter(|folder| !folder.is_empty()) {
-        // A socket's path has room for 108 bytes: a long runtime folder leaves none for its name.
-        Some(folder) if folder.len() <= 32 && Path::new(&folder).is_dir() => {
+        // A socket's path has room for 108 bytes, of which the transport's names take 90.
+        Some(folder) if folder.len() <= 18 && Path::new(&folder).is_dir() => {
             PathBuf::from(folder).join("pathtune")
         }
         _ => {
@@ -83,7 +83,10 @@ fn make_private(folder: &Path) -> io::Result<()> {
     match fs::DirBuilder::new().mode(0o700).create(folder) {
         Ok(()) => return Ok(()),
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-        Err(error) => return Err(error),
+        Err(error) => {
+            let message = format!("{} cannot be made: {error}; set XDG_RUNTIME_DIR", folder.display());
+            return Err(io::Error::new(error.kind(), message));
+        }
     }
     let meta = fs::symlink_metadata(folder)?;
     let refused = |why: &str| {
@@ -119,24 +122,65 @@ fn segments() -> Vec<String> {
 /// Removes what dead runs of this user left behind, and tells which runs those were.
 ///
 /// A run is alive exactly as long as its orchestrator holds the lock in its folder.
-pub fn sweep_dead_runs() -> Vec<u64> {
-    let base = base_folder();
-    let mut swept = Vec::new();
-    let Ok(entries) = fs::read_dir(&base) else { return swept };
-    let mut alive = Vec::new();
-    for entry in entries.flatten() {
-        let name = entry.file_name();
-        let Some(run) = name.to_str().and_then(|name| u64::from_str_radix(name, 16).ok()) else {
-            continue;
-        };
-        if is_dead(&entry.path()) {
-            RunNames { run, root: entry.path() }.remove();
-            swept.push(run);
-        } else {
-            alive.push(run);
-        }
+pub fn sweep_dead_runs() -> Vec<RunNames> {
+    let dead = dead_runs();
+    for names in &dead {
+        names.remove();
     }
-    swept
+    dead
+}
+
+/// Runs of this user whose orchestrator is gone.
+pub fn dead_runs() -> Vec<RunNames> {
+    runs().into_iter().filter(|names| is_dead(&names.root)).collect()
+}
+
+/// Runs of this user whose orchestrator lives.
+pub fn living_runs() -> Vec<RunNames> {
+    runs().into_iter().filter(|names| !is_dead(&names.root)).collect()
+}
+
+fn runs() -> Vec<RunNames> {
+    let Ok(entries) = fs::read_dir(base_folder()) else { return Vec::new() };
+    let name_run = |entry: fs::DirEntry| {
+        let run = u64::from_str_radix(entry.file_name().to_str()?, 16).ok()?;
+        Some(RunNames { run, root: entry.path() })
+    };
+    entries.flatten().filter_map(name_run).collect()
+}
+
+/// Segments of this user that belong to no run with a folder or a process: their run was removed while one
+/// of its processes was still dying, or lived under another XDG_RUNTIME_DIR.
+pub fn stale_segments() -> Vec<String> {
+    let known: Vec<u64> = runs().into_iter().map(|names| names.run).collect();
+    let in_use = runs_with_processes();
+    let uid = rustix::process::geteuid().as_raw();
+    segments()
+        .into_iter()
+        .filter(|name| {
+            let Some(run) = run_of_segment(name) else { return false };
+            let old = fs::metadata(Path::new("/dev/shm").join(name)).is_ok_and(|meta| {
+                let age = meta.modified().ok().and_then(|made| made.elapsed().ok());
+                meta.uid() == uid && age.is_some_and(|age| age.as_secs() > 10)
+            });
+            old && !known.contains(&run) && !in_use.contains(&run)
+        })
+        .collect()
+}
+
+/// Runs that a living process names in its environment.
+fn runs_with_processes() -> Vec<u64> {
+    let Ok(entries) = fs::read_dir("/proc") else { return Vec::new() };
+    entries
+        .flatten()
+        .filter_map(|entry| fs::read(entry.path().join("environ")).ok())
+        .filter_map(|environ| {
+            let run = environ.split(|byte| *byte == 0).find_map(|variable| {
+                std::str::from_utf8(variable).ok()?.strip_prefix("PATHTUNE_RUN=")
+            })?;
+            u64::from_str_radix(run, 16).ok()
+        })
+        .collect()
 }
 
 fn is_dead(root: &Path) -> bool {

@@ -13,6 +13,7 @@ use config::RunConfig;
 use ipc_types::{BatchHeader, Status, WakeRole};
 
 use crate::bus::SLEEPS_AFTER_NS;
+use crate::chaos::{Saboteur, Spread};
 use crate::clock::now_ns;
 use crate::{Attachment, Bus};
 
@@ -97,6 +98,7 @@ pub fn serve(
 
     let mut order = RingOrder::new(attachment.names.run ^ attachment.incarnation);
     let mut waiting = Waiting::default();
+    let mut saboteur = Saboteur::from_env(role, &attachment.names.root);
     let mut polls = 0u32;
     loop {
         polls = polls.wrapping_add(1);
@@ -106,6 +108,9 @@ pub fn serve(
                 order.note(waiting.has_waited());
             }
             waiting.progress();
+            if let Some(saboteur) = &mut saboteur {
+                saboteur.strike(service.status());
+            }
             yield_now();
         } else if waiting.may_sleep() {
             bus.look_for_readers();
@@ -233,23 +238,20 @@ impl Heartbeat {
 /// random moment, which shuffles the order.
 pub(crate) struct RingOrder {
     late_in_a_row: u32,
-    random: u64,
+    spread: Spread,
 }
 
 impl RingOrder {
     pub(crate) fn new(seed: u64) -> Self {
-        Self { late_in_a_row: 0, random: seed | 1 }
+        Self { late_in_a_row: 0, spread: Spread::new(seed) }
     }
 
     pub(crate) fn note(&mut self, late: bool) {
         self.late_in_a_row = if late { self.late_in_a_row + 1 } else { 0 };
         if self.late_in_a_row == LATE_IN_A_ROW {
             self.late_in_a_row = 0;
-            // xorshift64: any spread will do, and no result depends on it.
-            self.random ^= self.random << 13;
-            self.random ^= self.random >> 7;
-            self.random ^= self.random << 17;
-            std::thread::sleep(Duration::from_micros(1 + self.random % 100));
+            let nap_us = 1 + (100.0 * self.spread.uniform()) as u64;
+            std::thread::sleep(Duration::from_micros(nap_us));
         }
     }
 }

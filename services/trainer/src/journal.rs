@@ -6,6 +6,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use config::GridPosition;
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,8 @@ pub enum JournalError {
         "the journal {path} belongs to another configuration; resume with the one it was made with"
     )]
     Foreign { path: PathBuf },
+    #[error("the journal {path} is in use by another training")]
+    InUse { path: PathBuf },
 }
 
 #[derive(Debug, Serialize, Deserialize, PartialEq)]
@@ -37,6 +40,8 @@ struct Opening {
 }
 
 const VERSION: u32 = 1;
+/// How long a journal is waited for that somebody else still holds.
+const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Serialize, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
@@ -75,6 +80,14 @@ impl Journal {
             .truncate(false)
             .open(path)
             .map_err(io)?;
+        // A predecessor that was killed a moment ago may not be gone yet.
+        let until = Instant::now() + LOCK_PATIENCE;
+        while file.try_lock().is_err() {
+            if Instant::now() > until {
+                return Err(JournalError::InUse { path: path.to_owned() });
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).map_err(io)?;
         let whole = replay(path, &bytes, configuration, training)?;

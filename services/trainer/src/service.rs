@@ -135,7 +135,8 @@ impl Trainer {
     }
 
     fn learn(&mut self, outcomes: &[DriveOutcome]) -> Result<()> {
-        for DriveOutcome { report, .. } in outcomes {
+        for DriveOutcome { report, batch, .. } in outcomes {
+            self.counters.batch = *batch;
             let drive = to_record(report);
             // Asking again would bring the same report again.
             ensure!(drive.is_plausible(), "impossible numbers in a drive report: {report:?}");

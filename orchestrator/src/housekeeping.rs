@@ -1,0 +1,294 @@
+//! Looking after runs from another terminal: `status`, `stop`, `logs`, `clean`, `doctor`.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use comfy_table::Table;
+use comfy_table::presets::NOTHING;
+use runtime::run::{RunNames, living_runs, stale_segments, sweep_dead_runs};
+use rustix::process::{Pid, Resource, Signal, getrlimit, kill_process};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::Failure;
+use crate::terminal::say;
+use crate::process::last_lines;
+
+/// What a living run tells of itself, in a file in its private folder.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct RunState {
+    pub(crate) run: String,
+    pub(crate) pid: u32,
+    pub(crate) maneuver: String,
+    pub(crate) folder: PathBuf,
+    pub(crate) batch: u64,
+    pub(crate) attempt: u32,
+    pub(crate) tick: u64,
+    pub(crate) processes: Vec<ProcessState>,
+}
+
+/// One process of it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct ProcessState {
+    pub(crate) name: String,
+    pub(crate) pid: u32,
+    pub(crate) restarts: u32,
+    pub(crate) state: String,
+}
+
+impl RunState {
+    /// Name of the file.
+    pub(crate) const FILE: &str = "run.json";
+
+    /// Writes the file, by rename: whoever reads it reads all of it.
+    pub(crate) fn write(&self, path: &Path) -> io::Result<()> {
+        let part = path.with_extension("part");
+        fs::write(&part, serde_json::to_vec(self)?)?;
+        fs::rename(part, path)
+    }
+
+    fn read(names: &RunNames) -> Option<Self> {
+        serde_json::from_slice(&fs::read(names.root.join(Self::FILE)).ok()?).ok()
+    }
+}
+
+/// The living runs of this user.
+fn living() -> Vec<RunState> {
+    living_runs().iter().filter_map(RunState::read).collect()
+}
+
+/// The living run that a user means: by the start of its number, by its folder, or the only one there is.
+fn find(run: Option<&str>) -> Result<RunState, Failure> {
+    let mut runs = living();
+    if let Some(word) = run {
+        let folder = fs::canonicalize(word).ok();
+        runs.retain(|state| state.run.starts_with(word) || Some(&state.folder) == folder.as_ref());
+    }
+    match (runs.len(), run) {
+        (1, _) => Ok(runs.remove(0)),
+        (0, None) => Err(Failure::User("no run is alive".to_owned())),
+        (0, Some(word)) => Err(Failure::User(format!(
+            "no living run has a number or folder {word:?}; `pathtune status` lists them"
+        ))),
+        (_, _) => Err(Failure::User(format!(
+            "several runs are meant: {}; name one",
+            runs.iter().map(|state| state.run.as_str()).collect::<Vec<_>>().join(", ")
+        ))),
+    }
+}
+
+/// Lists the living runs.
+///
+/// # Errors
+/// None that a user could mend.
+pub fn status(as_json: bool) -> Result<(), Failure> {
+    let runs = living();
+    if as_json {
+        say!("{}", serde_json::to_string(&json!({ "runs": runs })).context("the runs")?);
+        return Ok(());
+    }
+    if runs.is_empty() {
+        say!("no run is alive");
+    }
+    for state in runs {
+        say!(
+            "{}  {}  pid {}  batch {} attempt {} tick {}  {}",
+            state.run,
+            state.maneuver,
+            state.pid,
+            state.batch,
+            state.attempt,
+            state.tick,
+            state.folder.display()
+        );
+        let mut table = Table::new();
+        table.load_style(NOTHING).set_header(["  process", "pid", "state", "restarts"]);
+        for process in state.processes {
+            table.add_row([
+                format!("  {}", process.name),
+                process.pid.to_string(),
+                process.state,
+                process.restarts.to_string(),
+            ]);
+        }
+        say!("{table}");
+    }
+    Ok(())
+}
+
+/// Asks a living run to stop, and waits for its end.
+///
+/// # Errors
+/// If no run or several are meant, or it does not end.
+pub fn stop(run: Option<&str>) -> Result<(), Failure> {
+    let state = find(run)?;
+    let pid = Pid::from_raw(state.pid as i32).context("no process id")?;
+    kill_process(pid, Signal::INT).context("failed to interrupt the run")?;
+    // Its processes get five seconds each.
+    let until = Instant::now() + Duration::from_secs(30);
+    while living().iter().any(|other| other.run == state.run) {
+        if Instant::now() > until {
+            return Err(anyhow::anyhow!("run {} does not stop; kill -9 {}", state.run, state.pid).into());
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    say!("stopped {}; go on with: pathtune train --resume {}", state.run, state.folder.display());
+    Ok(())
+}
+
+/// Prints the ends of a run's logs: of a living run, or of an output folder.
+///
+/// # Errors
+/// If no run is meant, or it has no such log.
+pub fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Result<(), Failure> {
+    let folder = match run.map(Path::new).filter(|path| path.join("logs").is_dir()) {
+        Some(folder) => folder.to_owned(),
+        None => find(run)?.folder,
+    };
+    let mut paths: Vec<PathBuf> = fs::read_dir(folder.join("logs"))
+        .with_context(|| format!("failed to read {:?}", folder.join("logs")))?
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| process.is_none_or(|name| path.file_stem().is_some_and(|stem| stem == name)))
+        .collect();
+    paths.sort();
+    if paths.is_empty() {
+        return Err(Failure::User(format!(
+            "{} has no log of {}",
+            folder.display(),
+            process.unwrap_or("any process")
+        )));
+    }
+    for path in paths {
+        say!("==> {} <==", path.display());
+        for line in last_lines(&path, lines) {
+            say!("{line}");
+        }
+    }
+    Ok(())
+}
+
+/// Removes what dead runs left, or says what would be removed.
+///
+/// # Errors
+/// None that a user could mend.
+pub fn clean(dry_run: bool) -> Result<(), Failure> {
+    let stale = stale_segments();
+    if dry_run {
+        for run in runtime::run::dead_runs() {
+            say!("would remove {} and its segments", run.root.display());
+        }
+        for name in &stale {
+            say!("would remove /dev/shm/{name}");
+        }
+        return Ok(());
+    }
+    let swept = sweep_dead_runs();
+    for name in &stale {
+        let _ = fs::remove_file(Path::new("/dev/shm").join(name));
+    }
+    say!("removed {} dead runs and {} stray segments", swept.len(), stale.len());
+    Ok(())
+}
+
+/// One finding of the doctor.
+#[derive(Debug, Serialize)]
+struct Finding {
+    check: &'static str,
+    ok: bool,
+    found: String,
+    /// What to do, where something is wrong.
+    advice: &'static str,
+}
+
+/// Checks what a run needs of the machine, and says what to do.
+///
+/// # Errors
+/// If something would keep a run from working; exit code 1.
+pub fn doctor(as_json: bool) -> Result<(), Failure> {
+    let findings = examine();
+    if as_json {
+        say!("{}", json!({ "checks": findings }));
+    } else {
+        for finding in &findings {
+            let mark = if finding.ok { "ok  " } else { "look" };
+            say!("{mark}  {}: {}", finding.check, finding.found);
+            if !finding.ok {
+                say!("      {}", finding.advice);
+            }
+        }
+    }
+    // Only the first ones keep a run from working; the rest is advice.
+    match findings.iter().take(2).find(|finding| !finding.ok) {
+        None => Ok(()),
+        Some(finding) => Err(anyhow::anyhow!("{}: {}", finding.check, finding.found).into()),
+    }
+}
+
+fn examine() -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let mut add = |check, ok, found: String, advice| {
+        findings.push(Finding { check, ok, found, advice });
+    };
+    let free = rustix::fs::statvfs("/dev/shm").map(|stat| stat.f_bavail * stat.f_frsize);
+    let free_mib = free.map_or(0, |bytes| bytes >> 20);
+    add(
+        "shared memory",
+        free_mib >= 32,
+        format!("{free_mib} MiB free in /dev/shm"),
+        "make room there, or enlarge it: mount -o remount,size=256m /dev/shm (docker: --shm-size)",
+    );
+    let folder = RunNames::create().map(|names| {
+        let root = names.root.clone();
+        names.remove();
+        root
+    });
+    add(
+        "run folder",
+        folder.is_ok(),
+        match &folder {
+            Ok(root) => format!("{} is private", root.parent().unwrap_or(root).display()),
+            Err(error) => error.to_string(),
+        },
+        "set XDG_RUNTIME_DIR to a folder of your own with a short path",
+    );
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    add(
+        "cores",
+        cores >= 2,
+        format!("{cores}, one for each pipeline"),
+        "with one core, orchestrator and trainer share it with the ring: slower, and otherwise the same",
+    );
+    let files = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
+    add(
+        "open files",
+        files >= 1024,
+        format!("{files} for each process"),
+        "raise it: ulimit -n 1024",
+    );
+    let priority = getrlimit(Resource::Rtprio).current.unwrap_or(u64::MAX);
+    add(
+        "real-time priority",
+        priority > 0 || rustix::process::geteuid().is_root(),
+        format!("up to {priority} without privileges"),
+        "only for driving in real time: grant rtprio in /etc/security/limits.conf",
+    );
+    let locked = getrlimit(Resource::Memlock).current.map_or(u64::MAX, |bytes| bytes >> 20);
+    add(
+        "locked memory",
+        locked >= 64,
+        format!("{} MiB", if locked == u64::MAX { "any number of".to_owned() } else { locked.to_string() }),
+        "only for driving in real time: grant memlock in /etc/security/limits.conf",
+    );
+    let (dead, stray) = (runtime::run::dead_runs().len(), stale_segments().len());
+    add(
+        "leftovers",
+        dead + stray == 0,
+        format!("{dead} dead runs, {stray} stray segments"),
+        "remove them: pathtune clean (the next training does it too)",
+    );
+    findings
+}

@@ -1,0 +1,107 @@
+//! Faults on purpose, and how long it takes until ticks flow again.
+
+use runtime::chaos::Spread;
+use serde_json::{Value, json};
+
+/// Kills at random: so many a second, exponentially spread.
+#[derive(Debug)]
+pub(crate) struct RandomKills {
+    per_s: f64,
+    spread: Spread,
+    due_ns: u64,
+}
+
+impl RandomKills {
+    pub(crate) fn new(per_s: f64, seed: u64) -> Self {
+        Self { per_s, spread: Spread::new(seed), due_ns: 0 }
+    }
+
+    /// Which of `count` processes is to be killed now, if one is.
+    pub(crate) fn due(&mut self, now_ns: u64, count: usize) -> Option<usize> {
+        if self.per_s <= 0.0 {
+            return None;
+        }
+        let due = self.due_ns != 0 && now_ns >= self.due_ns;
+        if due || self.due_ns == 0 {
+            let wait_s = -(1.0 - self.spread.uniform()).ln() / self.per_s;
+            self.due_ns = now_ns + (wait_s * 1e9) as u64;
+        }
+        due.then(|| (self.spread.uniform() * count as f64) as usize)
+    }
+
+    /// When the next kill is due; never, if none are asked for.
+    pub(crate) fn next_ns(&self) -> Option<u64> {
+        (self.per_s > 0.0).then_some(self.due_ns)
+    }
+}
+
+/// Deaths and stalls of a run, and how long each kept the ticks from flowing.
+#[derive(Debug, Default)]
+pub(crate) struct Recoveries {
+    /// Faults that the orchestrator caused itself.
+    pub(crate) killed_at_random: usize,
+    /// Batches that were driven again although nobody had died.
+    pub(crate) stalls: usize,
+    since_ns: Option<u64>,
+    times_ns: Vec<u64>,
+}
+
+impl Recoveries {
+    /// Something broke now, unless something was broken already.
+    pub(crate) fn broken(&mut self, now_ns: u64) {
+        self.since_ns.get_or_insert(now_ns);
+    }
+
+    /// Ticks flow again.
+    pub(crate) fn mended(&mut self, now_ns: u64) {
+        if let Some(since_ns) = self.since_ns.take() {
+            self.times_ns.push(now_ns - since_ns);
+        }
+    }
+
+    /// Numbers for `result.json`.
+    pub(crate) fn to_json(&self, scripted: usize) -> Value {
+        let mut times_ns = self.times_ns.clone();
+        times_ns.sort_unstable();
+        let at = |share: f64| {
+            let index = ((times_ns.len() as f64 * share).ceil() as usize).clamp(1, times_ns.len());
+            times_ns[index - 1] as f64 / 1e6
+        };
+        let (p50, p99, max) = match times_ns.is_empty() {
+            true => (Value::Null, Value::Null, Value::Null),
+            false => (at(0.5).into(), at(0.99).into(), at(1.0).into()),
+        };
+        json!({
+            "injected": self.killed_at_random + scripted,
+            "stalls": self.stalls,
+            "recoveries": times_ns.len(),
+            "death_to_tick_ms": { "p50": p50, "p99": p99, "max": max },
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn random_kills_come_at_their_rate() {
+        let mut kills = RandomKills::new(10.0, 1);
+        let count = (0..100_000u64).filter(|ms| kills.due(ms * 1_000_000, 4).is_some()).count();
+        assert!((800..1200).contains(&count), "{count}");
+        assert_eq!(RandomKills::new(0.0, 1).due(1, 4), None);
+    }
+
+    #[test]
+    fn a_recovery_lasts_from_the_first_break_to_the_next_tick() {
+        let mut recoveries = Recoveries::default();
+        recoveries.mended(5);
+        recoveries.broken(10_000_000);
+        recoveries.broken(20_000_000);
+        recoveries.mended(30_000_000);
+        let json = recoveries.to_json(1);
+        assert_eq!(json["recoveries"], 1);
+        assert_eq!(json["death_to_tick_ms"]["max"], 20.0);
+        assert_eq!(json["injected"], 1);
+    }
+}

@@ -1,0 +1,58 @@
+//! Words to the user, over streams that may be closed or full.
+
+use std::io::{self, Write};
+
+use crate::Failure;
+
+/// Writes a line to standard output, from a function that returns a [`Failure`].
+macro_rules! say {
+    ($($words:tt)*) => { $crate::terminal::write_out(&format!($($words)*))? };
+}
+
+/// Writes a line to standard error, as far as that goes: it is no reason to stop anything.
+macro_rules! tell {
+    ($($words:tt)*) => { $crate::terminal::write_err(&format!($($words)*)) };
+}
+
+pub(crate) use {say, tell};
+
+/// A line on standard output. Whoever reads it may go away early: then there is nobody to tell.
+pub(crate) fn write_out(line: &str) -> Result<(), Failure> {
+    match writeln!(io::stdout(), "{line}") {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(anyhow::Error::new(error).context("failed to write to standard output").into())
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A line on standard error.
+pub(crate) fn write_err(line: &str) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
+
+/// Prints how a command failed: one line, whatever a file name or a foreign program put into it.
+pub fn print_failure(failure: &Failure) {
+    write_err(&format!("pathtune: {}", one_line(&failure.message())));
+}
+
+/// Prints a mistake on the command line: one line.
+pub fn print_usage_error(error: &clap::Error) {
+    let text = error.to_string();
+    // The advice behind the first paragraph is in --help.
+    let first = text.split("\n\n").next().unwrap_or(&text);
+    let first = first.strip_prefix("error: ").unwrap_or(first);
+    write_err(&format!("pathtune: {}; see --help", one_line(first)));
+}
+
+fn one_line(text: &str) -> String {
+    let mut line: String =
+        text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(LONGEST).collect();
+    if line.len() < text.len() {
+        line.push('…');
+    }
+    line.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// Characters of a message that are shown.
+const LONGEST: usize = 3000;
