@@ -27,7 +27,7 @@ fn kills_at_random_moments_change_no_byte() {
     let kills: u32 =
         std::env::var("PATHTUNE_KILLS").ok().and_then(|kills| kills.parse().ok()).unwrap_or(40);
     let sandbox = Sandbox::new();
-    let episodes = if kills > 100 { "30" } else { "6" };
+    let episodes = if kills > 100 { "80" } else { "6" };
     let args = ["lane_change", "--no-memo", "--episodes", episodes];
     let calm = sandbox.train("calm", &args);
 
@@ -38,7 +38,8 @@ fn kills_at_random_moments_change_no_byte() {
         state ^= state << 17;
         (state >> 11) % below
     };
-    let mut training = sandbox.start_training("killed", &[&args[..], &["--restart-budget", "100000"]].concat());
+    let mut training =
+        sandbox.start_training("killed", &[&args[..], &["--restart-budget", "100000"]].concat());
     let (mut done, mut orchestrators, mut last) = (0, 0, training.id());
     while done < kills {
         std::thread::sleep(Duration::from_millis(random(90)));
@@ -105,9 +106,8 @@ fn a_frozen_service_is_replaced_within_a_second() {
         let pid = sandbox.service(name).unwrap();
         signal(pid, Signal::STOP);
         let frozen = Instant::now();
-        training.wait_for("the replacement", || {
-            sandbox.service(name).is_some_and(|new| new != pid)
-        });
+        training
+            .wait_for("the replacement", || sandbox.service(name).is_some_and(|new| new != pid));
         println!("{name}: replaced {:?} after it froze", frozen.elapsed());
         let result = training.succeed();
         assert_eq!(result["digest"], calm["digest"], "{name}");

@@ -18,8 +18,8 @@ use crate::Failure;
 use crate::cli::BenchArgs;
 use crate::cores::CoreClaim;
 use crate::pipeline::{Interrupts, Plan};
-use crate::terminal::{say, tell};
 use crate::restart::Budget;
+use crate::terminal::{say, tell};
 use crate::train::run;
 
 /// Rounds of the ring that are measured at a time.

@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::Failure;
-use crate::terminal::say;
 use crate::process::last_lines;
+use crate::terminal::say;
 
 /// What a living run tells of itself, in a file in its private folder.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -131,7 +131,9 @@ pub fn stop(run: Option<&str>) -> Result<(), Failure> {
     let until = Instant::now() + Duration::from_secs(30);
     while living().iter().any(|other| other.run == state.run) {
         if Instant::now() > until {
-            return Err(anyhow::anyhow!("run {} does not stop; kill -9 {}", state.run, state.pid).into());
+            return Err(
+                anyhow::anyhow!("run {} does not stop; kill -9 {}", state.run, state.pid).into()
+            );
         }
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -280,7 +282,10 @@ fn examine() -> Vec<Finding> {
     add(
         "locked memory",
         locked >= 64,
-        format!("{} MiB", if locked == u64::MAX { "any number of".to_owned() } else { locked.to_string() }),
+        format!(
+            "{} MiB",
+            if locked == u64::MAX { "any number of".to_owned() } else { locked.to_string() }
+        ),
         "only for driving in real time: grant memlock in /etc/security/limits.conf",
     );
     let (dead, stray) = (runtime::run::dead_runs().len(), stale_segments().len());

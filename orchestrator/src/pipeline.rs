@@ -13,18 +13,18 @@ use ipc_types::{
     BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Status,
     WakeRole, WirePose, has,
 };
+use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;
 use runtime::run::RunNames;
-use runtime::chaos::{self, Script};
 use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
 use crate::Failure;
 use crate::cores::CoreClaim;
+use crate::housekeeping::{ProcessState, RunState};
 use crate::process::{Process, clean_up_behind, describe, last_lines};
 use crate::progress::Progress;
-use crate::housekeeping::{ProcessState, RunState};
 use crate::recovery::{RandomKills, Recoveries};
 use crate::report::{ProcessFacts, RunFacts};
 use crate::restart::{Budget, Decision, RestartPolicy};
@@ -436,9 +436,10 @@ impl<'a> Pipeline<'a> {
                 fds.push(PollFd::new(&process.pidfd, PollFlags::IN));
             }
         }
-        let until_kill = self.random_kills.next_ns().map_or(NAP_NS, |due_ns| {
-            due_ns.saturating_sub(now_ns()).min(NAP_NS as u64) as i64
-        });
+        let until_kill = self
+            .random_kills
+            .next_ns()
+            .map_or(NAP_NS, |due_ns| due_ns.saturating_sub(now_ns()).min(NAP_NS as u64) as i64);
         let nap = Timespec { tv_sec: 0, tv_nsec: until_kill };
         // A signal ends it early, which is as good as a message.
         let _ = poll(&mut fds, Some(&nap));

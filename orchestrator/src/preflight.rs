@@ -55,12 +55,13 @@ pub(crate) fn make_folder(folder: &Path) -> Result<PathBuf, Failure> {
 pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
     let path = folder.join("lock");
     let fail = |why: String| Failure::User(format!("{}: {why}", folder.display()));
-    let file = fs::File::create(&path).map_err(|error| fail(format!("cannot be written: {error}")))?;
+    let file =
+        fs::File::create(&path).map_err(|error| fail(format!("cannot be written: {error}")))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
-        Err(fs::TryLockError::WouldBlock) => {
-            Err(fail("a living run trains in this folder; `pathtune status` tells which".to_owned()))
-        }
+        Err(fs::TryLockError::WouldBlock) => Err(fail(
+            "a living run trains in this folder; `pathtune status` tells which".to_owned(),
+        )),
         Err(fs::TryLockError::Error(error)) => Err(fail(format!("cannot be locked: {error}"))),
     }
 }

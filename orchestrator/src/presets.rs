@@ -3,8 +3,8 @@
 use std::fs;
 
 use crate::Failure;
-use crate::terminal::say;
 use crate::cli::ConfigCommand;
+use crate::terminal::say;
 
 /// Prints or writes the embedded presets.
 ///

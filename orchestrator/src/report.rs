@@ -79,7 +79,11 @@ pub(crate) fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) 
 }
 
 /// The table at the end of a training.
-pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) -> Result<(), Failure> {
+pub(crate) fn print_table(
+    config: &RunConfig,
+    result: &Value,
+    folder: &Path,
+) -> Result<(), Failure> {
     let size = result["grid"]["size"].as_u64().unwrap_or_default();
     let mut table = Table::new();
     table
@@ -128,7 +132,10 @@ pub(crate) fn print_table(config: &RunConfig, result: &Value, folder: &Path) -> 
     let drives = &result["drives"];
     say!(
         "{} drives asked for ({} by plain Q), {} driven, {} again behind a crash; the grid holds {size}",
-        drives["asked"], result["plain_q"]["asked"], drives["driven"], drives["reissued"],
+        drives["asked"],
+        result["plain_q"]["asked"],
+        drives["driven"],
+        drives["reissued"],
     );
     let recovery = &result["recovery"];
     if recovery["recoveries"].as_u64().unwrap_or_default() > 0 {

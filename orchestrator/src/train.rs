@@ -78,7 +78,10 @@ fn resolved_before(folder: &Path) -> Result<(RunConfig, Launch), Failure> {
     let read = |name: &str| {
         let path = folder.join(name);
         fs::read_to_string(&path).map_err(|error| {
-            Failure::User(format!("--resume {}: no training to go on with: {error}", path.display()))
+            Failure::User(format!(
+                "--resume {}: no training to go on with: {error}",
+                path.display()
+            ))
         })
     };
     let config = RunConfig::from_resolved(&read("config.toml")?)?;

@@ -56,7 +56,8 @@ impl Script {
         let mut script = Self::default();
         for fault in text.split(';').map(str::trim).filter(|fault| !fault.is_empty()) {
             if let Some(rate) = fault.strip_prefix("random:") {
-                script.random_per_s = number(rate, 0.0, 1000.0).map_err(|why| in_fault(fault, &why))?;
+                script.random_per_s =
+                    number(rate, 0.0, 1000.0).map_err(|why| in_fault(fault, &why))?;
                 continue;
             }
             script.faults.push(Fault::parse(fault).map_err(|why| in_fault(fault, &why))?);
@@ -83,7 +84,10 @@ impl Fault {
             }
             ["drop", topic, share] => {
                 let share = share.strip_prefix("p=").ok_or("wants p=PROBABILITY")?;
-                Ok(Fault::Drop { topic: parse_topic(topic)?, probability: number(share, 0.0, 1.0)? })
+                Ok(Fault::Drop {
+                    topic: parse_topic(topic)?,
+                    probability: number(share, 0.0, 1.0)?,
+                })
             }
             ["delay", topic, time] => {
                 Ok(Fault::Delay { topic: parse_topic(topic)?, time: parse_time(time)? })
@@ -103,7 +107,11 @@ fn parse_place(text: &str) -> Result<(WakeRole, u64, u64), String> {
         "controller" => WakeRole::Controller,
         "supervisor" => WakeRole::Supervisor,
         "trainer" => WakeRole::Trainer,
-        _ => return Err(format!("{role} is no role; there are simulator, controller, supervisor, trainer")),
+        _ => {
+            return Err(format!(
+                "{role} is no role; there are simulator, controller, supervisor, trainer"
+            ));
+        }
     };
     let (mut drive, mut tick) = (None, 0);
     for part in place.split(',') {
@@ -159,7 +167,9 @@ impl Saboteur {
             .into_iter()
             .enumerate()
             .filter(|(_, fault)| match fault {
-                Fault::Kill { role: target, .. } | Fault::Stop { role: target, .. } => *target == role,
+                Fault::Kill { role: target, .. } | Fault::Stop { role: target, .. } => {
+                    *target == role
+                }
                 Fault::Drop { .. } | Fault::Delay { .. } => false,
             })
             .collect();
@@ -202,7 +212,9 @@ const FIRED: &str = "fired-";
 /// How many scripted faults of a run have fired.
 pub fn fired(root: &Path) -> usize {
     let entries = std::fs::read_dir(root).into_iter().flatten().flatten();
-    entries.filter(|entry| entry.file_name().as_encoded_bytes().starts_with(FIRED.as_bytes())).count()
+    entries
+        .filter(|entry| entry.file_name().as_encoded_bytes().starts_with(FIRED.as_bytes()))
+        .count()
 }
 
 /// What an outlet does to its messages.
@@ -223,7 +235,9 @@ impl Disturbance {
         let mut new = Self { probability: 0.0, delay: Duration::ZERO, spread: spread.into() };
         for fault in script.faults {
             match fault {
-                Fault::Drop { topic: on, probability } if on == topic => new.probability = probability,
+                Fault::Drop { topic: on, probability } if on == topic => {
+                    new.probability = probability
+                }
                 Fault::Delay { topic: on, time } if on == topic => new.delay = time,
                 _ => {}
             }

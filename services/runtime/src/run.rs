@@ -84,7 +84,8 @@ fn make_private(folder: &Path) -> io::Result<()> {
         Ok(()) => return Ok(()),
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
         Err(error) => {
-            let message = format!("{} cannot be made: {error}; set XDG_RUNTIME_DIR", folder.display());
+            let message =
+                format!("{} cannot be made: {error}; set XDG_RUNTIME_DIR", folder.display());
             return Err(io::Error::new(error.kind(), message));
         }
     }

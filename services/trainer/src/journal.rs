@@ -6,6 +6,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use config::GridPosition;
@@ -59,6 +60,7 @@ pub struct Journal {
     path: PathBuf,
     file: File,
     unwritten: Vec<u8>,
+    syncing: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Journal {
@@ -96,7 +98,8 @@ impl Journal {
             file.set_len(whole as u64).map_err(io)?;
         }
         file.seek(SeekFrom::Start(whole as u64)).map_err(io)?;
-        let mut journal = Self { path: path.to_owned(), file, unwritten: Vec::new() };
+        let mut journal =
+            Self { path: path.to_owned(), file, unwritten: Vec::new(), syncing: None };
         if whole == 0 {
             journal.add(&Opening { journal: VERSION, configuration: configuration.to_owned() });
         }
@@ -128,12 +131,30 @@ impl Journal {
         result.map_err(|source| JournalError::Io { path: self.path.clone(), source })
     }
 
-    /// Brings what was written onto the disk: a power cut loses none of it any more.
+    /// Brings what was written onto the disk, in a thread of its own (a disk may take its time): a power cut
+    /// loses none of it any more. One sync at a time; a failure of the last one is told by the next.
     ///
     /// # Errors
-    /// If the disk does not take it.
+    /// If the disk did not take it.
     pub fn sync(&mut self) -> Result<(), JournalError> {
-        self.file.sync_data().map_err(|source| JournalError::Io { path: self.path.clone(), source })
+        if self.syncing.as_ref().is_some_and(|thread| !thread.is_finished()) {
+            return Ok(());
+        }
+        let io = |source| JournalError::Io { path: self.path.clone(), source };
+        if let Some(Ok(Err(source))) = self.syncing.take().map(JoinHandle::join) {
+            return Err(io(source));
+        }
+        let file = self.file.try_clone().map_err(io)?;
+        self.syncing = Some(std::thread::spawn(move || file.sync_data()));
+        Ok(())
+    }
+
+    /// The journal's file, to be synced by somebody who can wait for it.
+    ///
+    /// # Errors
+    /// If the system has no descriptor left.
+    pub fn file(&self) -> io::Result<File> {
+        self.file.try_clone()
     }
 }
 
@@ -206,7 +227,7 @@ mod tests {
         let mut journal = Journal::open(path, "c", &mut training)?;
         let mut rollout = Rollout::new(config);
         for _ in 0..most_drives {
-            training.remember(|step| journal.note(step));
+            training.remember(usize::MAX, |step| journal.note(step));
             let Some(wanted) = training.wanted().first().copied() else { break };
             let drive = rollout.drive(config.grid.gains(wanted.position), None).into();
             let step = training.take(wanted.learner, wanted.step, drive).unwrap();

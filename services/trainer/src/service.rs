@@ -3,8 +3,9 @@
 
 use std::fs;
 use std::path::PathBuf;
+use std::thread::JoinHandle;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use config::RunConfig;
 use ipc_types::{BatchHeader, DriveOutcome, DriveReport, LearnerProgress, Proposal, WakeRole};
 use runtime::clock::now_ns;
@@ -22,8 +23,8 @@ pub const OUTCOME_FILE: &str = "outcome.json";
 
 /// Between two syncs of the journal: what a power cut may cost.
 const SYNC_NS: u64 = 1_000_000_000;
-/// Sets that are ranked between two looks at the clock: some milliseconds of work.
-const RANKED_AT_ONCE: usize = 10;
+/// Remembered steps between two signs of life: some milliseconds of work.
+const REMEMBERED_AT_ONCE: usize = 1000;
 
 /// Runs the process until it is asked to stop.
 ///
@@ -50,12 +51,12 @@ struct Trainer {
 }
 
 enum Stage {
-    /// Nothing was proposed yet.
-    Start,
+    /// Some steps can be answered from memory.
+    Remembering,
     /// Waits for outcomes.
     Training,
-    /// All learners have finished; the grid is being driven.
-    Ranking(Box<Ranking>),
+    /// All learners have finished; a thread drives the grid and writes the outcome.
+    Ranking(JoinHandle<Result<()>>),
     /// The outcome is written, and was announced.
     Over,
 }
@@ -75,7 +76,7 @@ impl Trainer {
             training,
             journal,
             synced_ns: 0,
-            stage: Stage::Start,
+            stage: Stage::Remembering,
             counters: Counters::default(),
         })
     }
@@ -87,7 +88,7 @@ impl Trainer {
     /// Answers what memory can, writes the journal, and asks for the rest.
     fn propose(&mut self) -> Result<()> {
         let Self { training, journal, .. } = self;
-        training.remember(|step| journal.note(step));
+        let answered = training.remember(REMEMBERED_AT_ONCE, |step| journal.note(step));
         self.journal.write()?;
         let now_ns = now_ns();
         if now_ns - self.synced_ns >= SYNC_NS {
@@ -95,9 +96,12 @@ impl Trainer {
             self.synced_ns = now_ns;
         }
         self.tell_progress()?;
+        if !answered {
+            self.stage = Stage::Remembering;
+            return Ok(());
+        }
         if self.training.is_finished() {
-            self.journal.sync()?;
-            self.stage = Stage::Ranking(Box::new(Ranking::new(&self.config)));
+            self.stage = Stage::Ranking(self.rank()?);
             return Ok(());
         }
         self.stage = Stage::Training;
@@ -149,16 +153,35 @@ impl Trainer {
         Ok(())
     }
 
-    fn finish(&mut self, ranking: &mut Ranking) -> Result<()> {
-        let outcome = Outcome::new(&self.config, &self.training, ranking);
+    /// Ranks what was chosen among all sets and writes the outcome, in a thread: it may take a while, and the
+    /// process shows meanwhile that it lives.
+    fn rank(&self) -> Result<JoinHandle<Result<()>>> {
+        let (config, training) = (self.config.clone(), self.training.clone());
         let path = self.folder.join(OUTCOME_FILE);
-        let whole = self.folder.join(format!("{OUTCOME_FILE}.part"));
-        // By rename: whoever sees the file sees all of it.
-        fs::write(&whole, serde_json::to_vec(&outcome)?)
-            .and_then(|()| fs::rename(&whole, &path))
-            .with_context(|| format!("failed to write {path:?}"))?;
+        let journal = self.journal.file()?;
+        Ok(std::thread::spawn(move || {
+            journal.sync_data().context("failed to sync the journal")?;
+            let outcome = Outcome::new(&config, &training, &mut Ranking::by_rollout(&config));
+            let whole = path.with_extension("part");
+            // By rename: whoever sees the file sees all of it.
+            fs::write(&whole, serde_json::to_vec(&outcome)?)
+                .and_then(|()| fs::rename(&whole, &path))
+                .with_context(|| format!("failed to write {path:?}"))
+        }))
+    }
+
+    /// Waits for the ranking; announces it once it is written.
+    fn announce(&mut self) -> Result<bool> {
+        let Stage::Ranking(thread) = std::mem::replace(&mut self.stage, Stage::Over) else {
+            return Ok(false);
+        };
+        if !thread.is_finished() {
+            self.stage = Stage::Ranking(thread);
+            return Ok(false);
+        }
+        thread.join().map_err(|_| anyhow!("the ranking panicked"))??;
         self.proposals.send(self.header(Proposal::FINISHED), 1, |_| Proposal::default())?;
-        Ok(())
+        Ok(true)
     }
 }
 
@@ -186,22 +209,12 @@ fn fingerprint(config: &RunConfig) -> String {
 
 impl Service for Trainer {
     fn poll(&mut self) -> Result<bool> {
-        match &mut self.stage {
-            Stage::Start => {
+        match self.stage {
+            Stage::Remembering => {
                 self.propose()?;
                 return Ok(true);
             }
-            Stage::Ranking(ranking) => {
-                if !ranking.rank_more(RANKED_AT_ONCE) {
-                    let Stage::Ranking(mut ranking) =
-                        std::mem::replace(&mut self.stage, Stage::Over)
-                    else {
-                        unreachable!("just matched")
-                    };
-                    self.finish(&mut ranking)?;
-                }
-                return Ok(true);
-            }
+            Stage::Ranking(_) => return self.announce(),
             Stage::Training | Stage::Over => {}
         }
         let Some(outcomes) = self.outcomes.receive()? else { return Ok(false) };

@@ -71,21 +71,26 @@ impl Training {
         self.learners.iter().all(Learner::is_finished)
     }
 
-    /// Answers from memory what can be, until every learner waits for a drive or has finished; shows each
-    /// step to `each`.
-    pub fn remember(&mut self, mut each: impl FnMut(&Step)) {
+    /// Answers from memory what can be, at most so many steps of it; shows each step to `each`. Whether every
+    /// learner now waits for a drive or has finished.
+    pub fn remember(&mut self, at_most: usize, mut each: impl FnMut(&Step)) -> bool {
+        let mut steps = 0;
         for learner in 0..self.learners.len() {
             while let Some(wanted) = self.wanted_by(learner) {
-                let Some(drive) =
-                    self.memory.as_ref().and_then(|memory| memory.get(&self.key(wanted)))
+                let key = self.key(wanted);
+                let Some(drive) = self.memory.as_ref().and_then(|memory| memory.get(&key)).copied()
                 else {
                     break;
                 };
-                let drive = *drive;
+                if steps == at_most {
+                    return false;
+                }
+                steps += 1;
                 each(&Step { wanted, drive, remembered: true });
                 self.learners[learner].learn(&drive);
             }
         }
+        true
     }
 
     /// The drives that are waited for: with memory, the same drive only once.
@@ -146,7 +151,7 @@ pub fn train_offline(
 ) -> Training {
     let mut training = Training::new(config);
     loop {
-        training.remember(|_| {});
+        training.remember(usize::MAX, |_| {});
         let wanted = training.wanted();
         if wanted.is_empty() {
             return training;
