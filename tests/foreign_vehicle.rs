@@ -6,7 +6,7 @@ use std::fs;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use config::MAX_FLEET;
+use config::{MAX_FLEET, RunConfig};
 use ipc_types::{Command, DriveRequest, Odometry, TickHeader, WakeRole, WirePose};
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use simulator::SimulatedVehicle;
@@ -71,6 +71,19 @@ fn nobody_burns_a_core_while_a_slow_vehicle_drives() {
     sandbox.assert_clean();
 }
 
+#[test]
+fn messages_that_do_not_belong_are_dropped_and_counted() {
+    let sandbox = Sandbox::new();
+    let ours = sandbox.train("ours", &["lane_change", "--episodes", "2"]);
+    let replaced = vehicle("hostile_vehicle");
+    let args = ["lane_change", "--episodes", "2", "--replace", &replaced];
+    let theirs = sandbox.train("theirs", &args);
+    assert_eq!(theirs["digest"], ours["digest"]);
+    let refused = fs::read_to_string(sandbox.path("theirs/refused")).unwrap();
+    assert!(refused.contains("ExceedsMaxSupportedPublishers"), "{refused}");
+    sandbox.assert_clean();
+}
+
 /// CPU time of a process so far.
 fn cpu_s(pid: i32) -> f64 {
     let text = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
@@ -93,22 +106,23 @@ fn slow_vehicle() {
     run_vehicle(SLOW_TICK);
 }
 
-fn run_vehicle(tick: Duration) {
+/// Not a test: the process in the vehicle's role. Before each true message it sends one that does not belong.
+#[test]
+#[ignore = "a process of the tests above"]
+fn hostile_vehicle() {
     let (attachment, bus, config) = join().unwrap();
-    let mut vehicle = Vehicle {
-        requests: bus.inlet().unwrap(),
-        commands: bus.inlet().unwrap(),
-        odometry: outlet(&bus),
-        fresh: SimulatedVehicle::new(&config),
-        fleet: Vec::new(),
-        header: TickHeader::default(),
-        tick,
-    };
+    let mut vehicle = Vehicle::new(&bus, &config, Duration::ZERO);
+    vehicle.hostile = true;
+    // A second publisher has no place on a topic.
+    let refused = bus.outlet::<Odometry>().map(|_| ()).unwrap_err().to_string();
+    fs::write(attachment.folder.join("refused"), refused).unwrap();
     serve(&attachment, &bus, WakeRole::Vehicle, &mut vehicle).unwrap();
 }
 
-fn outlet(bus: &Bus) -> Outlet<Odometry> {
-    bus.outlet().unwrap()
+fn run_vehicle(tick: Duration) {
+    let (attachment, bus, config) = join().unwrap();
+    let mut vehicle = Vehicle::new(&bus, &config, tick);
+    serve(&attachment, &bus, WakeRole::Vehicle, &mut vehicle).unwrap();
 }
 
 struct Vehicle {
@@ -119,11 +133,50 @@ struct Vehicle {
     fleet: Vec<SimulatedVehicle>,
     header: TickHeader,
     tick: Duration,
+    hostile: bool,
+    sent: u64,
 }
 
 impl Vehicle {
+    fn new(bus: &Bus, config: &RunConfig, tick: Duration) -> Self {
+        Self {
+            requests: bus.inlet().unwrap(),
+            commands: bus.inlet().unwrap(),
+            odometry: bus.outlet().unwrap(),
+            fresh: SimulatedVehicle::new(config),
+            fleet: Vec::new(),
+            header: TickHeader::default(),
+            tick,
+            hostile: false,
+            sent: 0,
+        }
+    }
+
+    /// A message of another run, batch, attempt, tick or fleet, full of numbers that are none.
+    fn send_what_does_not_belong(&mut self) -> Result<()> {
+        let mut header = self.header;
+        let mut len = self.fleet.len();
+        match self.sent % 7 {
+            0 => header.run ^= 1,
+            1 => header.batch = header.batch.wrapping_sub(1),
+            2 => header.attempt = 0,
+            3 => header.tick = u64::MAX,
+            4 => header.tick = header.tick.wrapping_sub(1),
+            5 => header.batch += 1,
+            _ => len = 1 + usize::from(len == 1),
+        }
+        let pose = WirePose { x_m: f64::NAN, y_m: f64::INFINITY, yaw_rad: -f64::NAN };
+        let odometry = Odometry { measured: pose, status: u32::MAX, ..Odometry::default() };
+        self.odometry.send_quietly(header, len, |_| odometry)?;
+        Ok(())
+    }
+
     fn publish(&mut self) -> Result<()> {
         std::thread::sleep(self.tick);
+        self.sent += 1;
+        if self.hostile {
+            self.send_what_does_not_belong()?;
+        }
         let fleet = &mut self.fleet;
         self.odometry.send(self.header, fleet.len(), |slot| {
             let seen = fleet[slot].observe();

@@ -59,6 +59,9 @@ pub struct ProcessEntry {
     /// Whether the same request always gives the same drive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deterministic: Option<bool>,
+    /// Restarts that it gets in ten seconds, where that differs from the others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub restart_budget: Option<u32>,
 }
 
 impl ProcessEntry {
@@ -130,6 +133,17 @@ impl Launch {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+        #[test]
+        fn no_text_makes_the_parser_panic(text in ".{0,200}", role in "(vehicle|pilot|[a-z=' ]{0,20})") {
+            let _ = Launch::parse("x", &text);
+            let _ = Launch::parse("x", &format!("[[process]]\nrole = '{role}'\n{text}"));
+            let _ = Launch::train().replace(&format!("{role}={text}"));
+        }
+    }
 
     #[test]
     fn the_preset_fills_each_role_with_our_own_service() {

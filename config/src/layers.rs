@@ -295,6 +295,40 @@ fn with_article(value: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    fn any_key() -> impl Strategy<Value = String> {
+        let mut all = Vec::new();
+        keys(&Layers::maneuver("lane_change").unwrap().values, "", &mut all);
+        prop_oneof![proptest::sample::select(all), "[a-z_.]{0,20}"]
+    }
+
+    fn any_value() -> impl Strategy<Value = String> {
+        prop_oneof![
+            any::<f64>().prop_map(|number| format!("{number:?}")),
+            any::<i64>().prop_map(|number| number.to_string()),
+            "(true|nan|-inf|''|\\[\\]|\\{\\}|\\[1, 'a'\\]|\\{min=1.0\\})",
+            ".{0,30}",
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(3000))]
+        #[test]
+        fn no_text_makes_the_parser_panic_or_wordy(
+            text in ".{0,200}", key in any_key(), value in any_value(),
+        ) {
+            for layer in [text, format!("{key} = {value}")] {
+                let mut layers = Layers::maneuver("lane_change").unwrap();
+                let result = layers.add_document("x", &layer).and_then(|()| layers.resolve());
+                if let Err(error) = result {
+                    prop_assert!(!error.to_string().is_empty());
+                }
+            }
+            let mut layers = Layers::maneuver("roundabout").unwrap();
+            let _ = layers.set(&format!("{key}={value}")).and_then(|()| layers.resolve());
+        }
+    }
 
     fn message(result: Result<impl std::fmt::Debug, ConfigError>) -> String {
         result.unwrap_err().to_string()

@@ -472,7 +472,10 @@ impl Member {
             name,
             log: plan.folder.join("logs").join(format!("{name}.log")),
             state: State::Down { due_ns: 0 },
-            policy: RestartPolicy::new(plan.budget),
+            policy: RestartPolicy::new(Budget {
+                restarts: entry.restart_budget.unwrap_or(plan.budget.restarts),
+                ..plan.budget
+            }),
             incarnation: 0,
             pid: 0,
             seen: (0, 0),

@@ -3,6 +3,7 @@
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use config::launch::Launch;
 
@@ -57,12 +58,22 @@ pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
     let fail = |why: String| Failure::User(format!("{}: {why}", folder.display()));
     let file =
         fs::File::create(&path).map_err(|error| fail(format!("cannot be written: {error}")))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(fs::TryLockError::WouldBlock) => Err(fail(
-            "a living run trains in this folder; `pathtune status` tells which".to_owned(),
-        )),
-        Err(fs::TryLockError::Error(error)) => Err(fail(format!("cannot be locked: {error}"))),
+    // A killed predecessor's last child may hold the lock until it has become its program.
+    let until = Instant::now() + Duration::from_secs(1);
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(file),
+            Err(fs::TryLockError::WouldBlock) if Instant::now() < until => {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            Err(fs::TryLockError::WouldBlock) => {
+                let why = "a living run trains in this folder; `pathtune status` tells which";
+                return Err(fail(why.to_owned()));
+            }
+            Err(fs::TryLockError::Error(error)) => {
+                return Err(fail(format!("cannot be locked: {error}")));
+            }
+        }
     }
 }
 

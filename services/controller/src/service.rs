@@ -227,10 +227,14 @@ impl Service for Controller {
             self.start_batch(request.header(), request.items());
             return Ok(true);
         }
-        let early = self.early.take();
-        let Some(odometry) = early.map_or_else(|| self.odometry.receive(), |it| Ok(Some(it)))?
-        else {
-            return Ok(false);
+        let odometry = match (self.odometry.receive()?, self.early.take()) {
+            (Some(new), held) => {
+                // What was held belongs to nothing that anybody asked for.
+                self.counters.dropped += u64::from(held.is_some());
+                new
+            }
+            (None, Some(held)) => held,
+            (None, None) => return Ok(false),
         };
         let header = odometry.header();
         if header.run == self.run && (header.batch, header.attempt) > self.last {

@@ -282,6 +282,14 @@ pub fn wake_later(pid: i32, time: Duration) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn no_text_makes_the_parser_panic(text in "(kill|stop|drop|delay|random:)?[ -~é]{0,60}") {
+            let _ = Script::parse(&text);
+        }
+    }
 
     #[test]
     fn a_script_is_read() {

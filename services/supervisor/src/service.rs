@@ -169,10 +169,14 @@ impl Service for Supervisor {
             return Ok(true);
         }
         // The raw command is looked for first: the pose that it answers was there before it.
-        let early = self.early.take();
-        let Some(raw) = early.map_or_else(|| self.raw_commands.receive(), |it| Ok(Some(it)))?
-        else {
-            return Ok(false);
+        let raw = match (self.raw_commands.receive()?, self.early.take()) {
+            (Some(new), held) => {
+                // What was held belongs to nothing that anybody asked for.
+                self.counters.dropped += u64::from(held.is_some());
+                new
+            }
+            (None, Some(held)) => held,
+            (None, None) => return Ok(false),
         };
         let (header, batch) = (raw.header(), self.batch);
         if header.run == self.run && (header.batch, header.attempt) > (batch.batch, batch.attempt) {
