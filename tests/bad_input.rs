@@ -50,16 +50,35 @@ fn mistakes_in_options() {
     );
     check(&sandbox, &["lane_change", "--replace", "pilot=x"], &["pilot", "vehicle"]);
     check(&sandbox, &["lane_change", "--replace", "vehicle='unclosed"], &["vehicle", "quote"]);
+    check(&sandbox, &["lane_change", "--set", "learning.gam\nma=1"], &["learning.gam ma"]);
+    check(&sandbox, &["lane_change", "--set", "grid.kv={min=}"], &["grid.kv"]);
+    check(&sandbox, &["lane_change", "--set", "paper_gains.kv=nan"], &["paper_gains.kv", "NaN"]);
+    check(&sandbox, &["lane_change", "--set", "maneuver=../x"], &["maneuver", "cannot be changed"]);
+    check(&sandbox, &["lane_change", "--chaos", "kill pilot@drive=1"], &["--chaos", "pilot"]);
 }
 
 #[test]
 fn mistakes_of_the_command_line_itself_have_the_same_code() {
     let sandbox = Sandbox::new();
-    for args in [&["train"][..], &["train", "lane_change", "--fleet", "x"], &["fly"], &[]] {
+    for args in [
+        &["train"][..],
+        &["train", "lane_change", "--fleet", "x"],
+        &["train", "lane_change", "--fleet", "257"],
+        &["train", "lane_change", "--tuner", "sarsa"],
+        &["train", "lane_change", "--nonsense"],
+        &["train", "--resume", "here", "--seed", "1"],
+        &["fly"],
+    ] {
         let output = sandbox.run(args);
-        assert_eq!(output.status.code(), Some(64), "{args:?}");
-        assert!(!output.stderr.is_empty());
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(64), "{args:?}: {stderr}");
+        assert_eq!(stderr.lines().count(), 1, "{args:?}: {stderr}");
     }
+    assert_eq!(sandbox.run(&[]).status.code(), Some(64));
+    let resumed = sandbox.run(&["train", "--resume", "nowhere"]);
+    let stderr = String::from_utf8(resumed.stderr).unwrap();
+    assert_eq!(resumed.status.code(), Some(64), "{stderr}");
+    assert!(stderr.contains("nowhere/config.toml: no training to go on with"), "{stderr}");
     assert!(sandbox.run(&["--help"]).status.success());
     assert!(sandbox.run(&["train", "--help"]).status.success());
 }
@@ -83,6 +102,72 @@ fn mistakes_in_files() {
     };
     launch("[[process]]\nrole = 'vehicle'\nspeed = 3", &["launch.toml:3", "speed"]);
     launch("[[process]]\nrole = 'vehicle'", &["launch.toml", "supervisor"]);
+}
+
+#[test]
+fn a_vehicle_file_that_names_a_vehicle_file() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("v.toml"), "vehicle_preset = 'v.toml'").unwrap();
+    fs::write(sandbox.path("my.toml"), "vehicle_preset = 'v.toml'").unwrap();
+    check(
+        &sandbox,
+        &["lane_change", "--config", "my.toml"],
+        &["v.toml:1", "vehicle_preset", "unknown"],
+    );
+    fs::write(sandbox.path("v.toml"), "wheelbase_m = 3.0").unwrap();
+    let result = sandbox.train("out", &["lane_change", "--episodes", "1", "--config", "my.toml"]);
+    let plain = sandbox.train("plain", &["lane_change", "--episodes", "1"]);
+    assert_ne!(result["digest"], plain["digest"]);
+    let quoted = "vehicle_preset=\"tesla_model_3\"";
+    let same = sandbox.train("same", &["lane_change", "--episodes", "1", "--set", quoted]);
+    assert_eq!(same["digest"], plain["digest"]);
+}
+
+#[test]
+fn streams_that_are_closed_or_full_stop_no_training() {
+    let sandbox = Sandbox::new();
+    let binary = env!("CARGO_BIN_EXE_pathtune");
+    for (out, script, code) in [
+        ("a", format!("{binary} train lane_change --no-memo --episodes 8 --out a 2>/dev/full"), 0),
+        (
+            "b",
+            format!(
+                "{binary} train lane_change --episodes 2 --out b 2>&1 -q | true; exit ${{PIPESTATUS[0]}}"
+            ),
+            0,
+        ),
+        ("c", format!("{binary} train lane_change --episodes 2 --out c >&- 2>&- <&-"), 0),
+        ("d", format!("{binary} train lane_change --episodes 2 --out d >/dev/full"), 1),
+    ] {
+        let status = std::process::Command::new("bash")
+            .args(["-c", &script])
+            .current_dir(sandbox.path("."))
+            .env("XDG_RUNTIME_DIR", sandbox.path("r"))
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .status()
+            .unwrap();
+        assert_eq!(status.code(), Some(code), "{script}");
+        assert!(sandbox.path(out).join("result.json").exists(), "{script}");
+        sandbox.assert_clean();
+    }
+}
+
+#[test]
+fn runtime_folders_of_any_length_do() {
+    let sandbox = Sandbox::new();
+    for length in [16, 18, 19, 20, 32, 33, 120] {
+        let base = sandbox.path("x");
+        let name = "y".repeat(length - base.as_os_str().len().min(length - 1) - 1);
+        let folder = base.join(if name.is_empty() { "y" } else { &name });
+        fs::create_dir_all(&folder).unwrap();
+        let output = sandbox
+            .command(&["train", "lane_change", "--episodes", "1", "--out", &format!("o{length}")])
+            .env("XDG_RUNTIME_DIR", &folder)
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{length}: {}", String::from_utf8_lossy(&output.stderr));
+    }
 }
 
 #[test]
