@@ -17,7 +17,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Train a manoeuvre to its end, and say how good the gains are
-    Train(TrainArgs),
+    Train(Box<TrainArgs>),
     /// Measure what a tick costs, beside a bare ring of the same bytes
     Bench(BenchArgs),
     /// List the living runs

@@ -270,7 +270,7 @@ impl<M: Message> Outlet<M> {
     /// Sends one message of `len` elements, each written in place by `write`, and wakes its readers if
     /// they may sleep.
     ///
-    /// Readers sleep only after [`SLEEPS_AFTER_NS`] without a message. If the last one is younger than
+    /// Readers sleep only after `SLEEPS_AFTER_NS` without a message. If the last one is younger than
     /// that even now, behind this send, they have not slept in between, and will find this one.
     ///
     /// # Errors

@@ -69,7 +69,7 @@ pub struct Counters {
 }
 
 /// Yields before a process may sleep: on a busy core each one can take a time slice, on an idle one they
-/// are over within [`SLEEPS_AFTER_NS`].
+/// are over within `SLEEPS_AFTER_NS`.
 const YIELDS: u32 = 64;
 /// Longest sleep: bounds what a lost wake-up could cost.
 const NAP: Duration = Duration::from_millis(20);
@@ -131,7 +131,7 @@ pub fn serve(
     Ok(())
 }
 
-/// When a reader may sleep: after [`YIELDS`] looks in vain, and [`SLEEPS_AFTER_NS`] behind the first one.
+/// When a reader may sleep: after `YIELDS` looks in vain, and `SLEEPS_AFTER_NS` behind the first one.
 ///
 /// Who sleeps earlier misses messages, because writers count on it: see [`crate::Outlet::send`].
 #[derive(Debug, Clone, Copy, Default)]
