@@ -4,9 +4,11 @@ mod support;
 
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
-use std::process::Command;
+use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
+use ipc_types::{Command, Odometry};
+use runtime::Bus;
 use rustix::process::Signal;
 use serde_json::Value;
 use support::{Sandbox, signal};
@@ -73,6 +75,60 @@ fn kills_at_random_moments_change_no_byte() {
     assert_eq!(result["digest"], calm["digest"], "after {done} kills");
     assert_eq!(result["learners"], calm["learners"]);
     sandbox.run(&["clean"]);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_killed_clean_up_helper_is_replaced() {
+    let sandbox = Sandbox::new();
+    let args = ["lane_change", "--episodes", "12", "--no-memo", "--restart-budget", "1000"];
+    let calm = sandbox.train("calm", &args);
+    let mut training = sandbox.start_training("out", &args);
+    let mut helpers = 0;
+    // A helper lives for some milliseconds, and may be missed on a busy machine.
+    for name in ["simulator", "controller"].into_iter().cycle().take(20) {
+        if helpers == 2 || training.is_over() {
+            break;
+        }
+        training.wait_until_it_drives();
+        let pid = sandbox.service(name).unwrap();
+        signal(pid, Signal::KILL);
+        let until = Instant::now() + Duration::from_millis(300);
+        while Instant::now() < until {
+            if let Some(helper) = sandbox.service("cleaner") {
+                signal(helper, Signal::KILL);
+                helpers += 1;
+                break;
+            }
+        }
+        training.wait_for("the restart", || sandbox.service(name).is_some_and(|new| new != pid));
+    }
+    let result = training.succeed();
+    println!("{helpers} helpers killed");
+    assert!(helpers > 0, "no helper was seen");
+    assert_eq!(result["digest"], calm["digest"]);
+    sandbox.assert_clean();
+}
+
+/// An observer that never reads is to the run what a stopped one is.
+#[test]
+fn an_observer_that_does_not_read_changes_nothing() {
+    let sandbox = Sandbox::new();
+    let calm = sandbox.train("calm", &TRAINING);
+    let mut training = sandbox.start_training("out", &TRAINING);
+    training.wait_until_it_drives();
+    let run = sandbox.living_run();
+    {
+        let bus = Bus::attach(&run, 5).unwrap();
+        let odometry = bus.observe::<Odometry>().unwrap();
+        let commands = bus.observe::<Command>().unwrap();
+        // Somebody with another layout under the same topic does not connect.
+        assert!(bus.open_as::<Odometry, Command>().is_err());
+        assert!(bus.open_as::<Odometry, Odometry>().is_ok());
+        std::thread::sleep(Duration::from_secs(1));
+        assert!(odometry.receive().unwrap().is_some() && commands.receive().unwrap().is_some());
+    }
+    assert_eq!(training.succeed()["digest"], calm["digest"]);
     sandbox.assert_clean();
 }
 
@@ -300,7 +356,7 @@ fn another_user_sees_nothing_of_a_run() {
         dir = runtime.display(),
         prefix = runtime::run::prefix(run),
     );
-    let output = Command::new("setpriv")
+    let output = Program::new("setpriv")
         .args(["--reuid", "65534", "--regid", "65534", "--clear-groups", "sh", "-c", &script])
         .output()
         .unwrap();
@@ -312,7 +368,7 @@ fn another_user_sees_nothing_of_a_run() {
 
 /// Runs a script with mounts of its own, where this user may have them.
 fn in_own_mounts(sandbox: &Sandbox, script: &str) -> Option<std::process::Output> {
-    let output = Command::new("unshare")
+    let output = Program::new("unshare")
         .args(["--mount", "--map-root-user", "sh", "-c", script])
         .current_dir(sandbox.path("."))
         .env("XDG_RUNTIME_DIR", sandbox.path("r"))

@@ -79,6 +79,9 @@ fn messages_that_do_not_belong_are_dropped_and_counted() {
     let args = ["lane_change", "--episodes", "2", "--replace", &replaced];
     let theirs = sandbox.train("theirs", &args);
     assert_eq!(theirs["digest"], ours["digest"]);
+    let processes = theirs["processes"].as_array().unwrap();
+    let controller = processes.iter().find(|process| process["name"] == "controller").unwrap();
+    assert!(controller["dropped"].as_u64().unwrap() > 100, "{controller}");
     let refused = fs::read_to_string(sandbox.path("theirs/refused")).unwrap();
     assert!(refused.contains("ExceedsMaxSupportedPublishers"), "{refused}");
     sandbox.assert_clean();

@@ -37,6 +37,8 @@ pub(crate) struct ProcessState {
     pub(crate) pid: u32,
     pub(crate) restarts: u32,
     pub(crate) state: String,
+    pub(crate) dropped: u64,
+    pub(crate) rejected: u64,
 }
 
 impl RunState {

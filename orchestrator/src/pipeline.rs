@@ -124,6 +124,9 @@ struct Member {
     pid: u32,
     /// Batch and tick that it reported last.
     seen: (u64, u64),
+    /// Samples that its incarnations before this one dropped and rejected, and those of this one.
+    refused_before: (u64, u64),
+    refused: (u64, u64),
 }
 
 enum State {
@@ -258,6 +261,7 @@ impl<'a> Pipeline<'a> {
             else {
                 continue;
             };
+            member.refused = (status.dropped, status.rejected);
             // Each against itself: they stand at different ticks, even when all stand still.
             if (status.batch, status.tick) != member.seen {
                 member.seen = (status.batch, status.tick);
@@ -479,6 +483,8 @@ impl Member {
             incarnation: 0,
             pid: 0,
             seen: (0, 0),
+            refused_before: (0, 0),
+            refused: (0, 0),
         }
     }
 
@@ -497,6 +503,8 @@ impl Member {
 
     fn start(&mut self, attachment: &Attachment) -> Result<(), Failure> {
         self.incarnation += 1;
+        self.refused_before = self.all_refused();
+        self.refused = (0, 0);
         // Only the ring shares a core; the trainer works while the ring rests.
         let core = attachment.core.filter(|_| self.entry.role != Role::Trainer);
         let attachment = Attachment { incarnation: self.incarnation, core, ..attachment.clone() };
@@ -560,12 +568,27 @@ impl Member {
             State::Starting { .. } => "starting",
             State::Ready { .. } => "ready",
         };
-        let ProcessFacts { name, pid, restarts } = self.facts();
-        ProcessState { name: name.to_owned(), pid, restarts, state: state.to_owned() }
+        let ProcessFacts { name, pid, restarts, dropped, rejected } = self.facts();
+        ProcessState {
+            name: name.to_owned(),
+            pid,
+            restarts,
+            state: state.to_owned(),
+            dropped,
+            rejected,
+        }
+    }
+
+    /// Samples dropped and rejected by all incarnations, as far as they told.
+    fn all_refused(&self) -> (u64, u64) {
+        (self.refused_before.0 + self.refused.0, self.refused_before.1 + self.refused.1)
     }
 
     fn facts(&self) -> ProcessFacts {
+        let (dropped, rejected) = self.all_refused();
         ProcessFacts {
+            dropped,
+            rejected,
             name: self.name,
             pid: self.pid,
             restarts: self.incarnation.saturating_sub(1) as u32,

@@ -29,6 +29,9 @@ pub(crate) struct ProcessFacts {
     pub(crate) name: &'static str,
     pub(crate) pid: u32,
     pub(crate) restarts: u32,
+    /// Samples that did not belong, and samples that were no numbers.
+    pub(crate) dropped: u64,
+    pub(crate) rejected: u64,
 }
 
 /// Joins the trainer's outcome with what only the orchestrator knows, and writes `result.json`.
@@ -62,6 +65,8 @@ pub(crate) fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) 
             "name": process.name,
             "pid": process.pid,
             "restarts": process.restarts,
+            "dropped": process.dropped,
+            "rejected": process.rejected,
         })).collect::<Vec<_>>(),
         "recovery": facts.recovery,
         "tick_ns": facts.tick_ns,

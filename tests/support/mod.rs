@@ -77,6 +77,15 @@ impl Sandbox {
         Training { sandbox: self, child: Some(child), out: out.to_owned() }
     }
 
+    /// The one living run of this sandbox.
+    pub fn living_run(&self) -> runtime::run::RunNames {
+        let status = self.run(&["status", "--json"]);
+        let status: Value = serde_json::from_slice(&status.stdout).unwrap();
+        let name = status["runs"][0]["run"].as_str().unwrap();
+        let root = self.path("r").join("pathtune").join(name);
+        runtime::run::RunNames { run: u64::from_str_radix(name, 16).unwrap(), root }
+    }
+
     /// The one run that this sandbox has seen.
     pub fn only_run(&self) -> u64 {
         let runs = self.runs();

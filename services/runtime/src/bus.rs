@@ -171,6 +171,21 @@ impl Bus {
         self.inlet_with_buffer(OBSERVER_BUFFER)
     }
 
+    /// Whether somebody who takes the elements of `M`'s topic for `T`s would connect: only if name, hash of
+    /// the layout, size and alignment are the same.
+    ///
+    /// # Errors
+    /// If the transport refuses, as it should for every other type.
+    pub fn open_as<M: Message, T: Message>(&self) -> Result<(), BusError> {
+        self.node
+            .service_builder(&service_name(M::TOPIC.name))
+            .publish_subscribe::<[T]>()
+            .user_header::<M::Header>()
+            .open()
+            .map(|_| ())
+            .map_err(refused(|| format!("open the topic {}", M::TOPIC.name)))
+    }
+
     fn inlet_with_buffer<M: Message>(&self, buffer: usize) -> Result<Inlet<M>, BusError> {
         let subscriber = self
             .topic::<M>(false)?
