@@ -10,6 +10,7 @@ pub mod cli;
 mod cores;
 mod failure;
 mod housekeeping;
+mod member;
 mod pipeline;
 mod preflight;
 mod presets;

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use config::RunConfig;
-use config::launch::{Launch, ProcessEntry, Role};
+use config::launch::{Launch, Role};
 use ipc_types::{
     BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Status,
     WakeRole, WirePose, has,
@@ -22,18 +22,15 @@ use rustix::time::Timespec;
 
 use crate::Failure;
 use crate::cores::CoreClaim;
-use crate::housekeeping::{ProcessState, RunState};
-use crate::process::{Process, clean_up_behind, describe, last_lines};
+use crate::housekeeping::RunState;
+use crate::member::{Member, State};
+use crate::process::clean_up_behind;
 use crate::progress::Progress;
 use crate::recovery::{RandomKills, Recoveries};
-use crate::report::{ProcessFacts, RunFacts};
-use crate::restart::{Budget, Decision, RestartPolicy};
+use crate::report::RunFacts;
+use crate::restart::{Budget, Decision};
 use crate::sequencer::Sequencer;
 
-/// A process must be ready this soon after its start: it opens a dozen files.
-const READY_WITHIN_NS: u64 = 5_000_000_000;
-/// A ready process that shows no sign of life for this long is taken for frozen: five beats.
-const BEATS_WITHIN_NS: u64 = 500_000_000;
 /// A batch without a tick for so long has lost a message; progress is told with each sign of life.
 const STALLED_AFTER_NS: u64 = 500_000_000;
 /// A process that was asked to stop gets this long.
@@ -111,40 +108,6 @@ pub(crate) struct Pipeline<'a> {
     reaped_ns: u64,
     started_ns: u64,
     _core: Option<CoreClaim>,
-}
-
-/// A process of the pipeline, alive or not.
-struct Member {
-    entry: ProcessEntry,
-    name: &'static str,
-    log: PathBuf,
-    state: State,
-    policy: RestartPolicy,
-    incarnation: u64,
-    pid: u32,
-    /// Batch and tick that it reported last.
-    seen: (u64, u64),
-    /// Samples that its incarnations before this one dropped and rejected, and those of this one.
-    refused_before: (u64, u64),
-    refused: (u64, u64),
-}
-
-enum State {
-    /// To be started at this time.
-    Down { due_ns: u64 },
-    /// Up, and not ready yet.
-    Starting { process: Process, since_ns: u64 },
-    /// All its ports exist.
-    Ready { process: Process, beat_ns: u64 },
-}
-
-impl State {
-    fn process(&mut self) -> Option<&mut Process> {
-        match self {
-            State::Down { .. } => None,
-            State::Starting { process, .. } | State::Ready { process, .. } => Some(process),
-        }
-    }
 }
 
 impl<'a> Pipeline<'a> {
@@ -461,137 +424,6 @@ impl<'a> Pipeline<'a> {
                 self.progress.notice(&format!("{} did not stop, and was killed", member.name));
             }
             member.state = State::Down { due_ns: u64::MAX };
-        }
-    }
-}
-
-impl Member {
-    fn new(entry: &ProcessEntry, plan: &Plan) -> Self {
-        let name = match entry.command {
-            Some(_) => entry.role.name(),
-            None => entry.role.own_service(),
-        };
-        Self {
-            entry: entry.clone(),
-            name,
-            log: plan.folder.join("logs").join(format!("{name}.log")),
-            state: State::Down { due_ns: 0 },
-            policy: RestartPolicy::new(Budget {
-                restarts: entry.restart_budget.unwrap_or(plan.budget.restarts),
-                ..plan.budget
-            }),
-            incarnation: 0,
-            pid: 0,
-            seen: (0, 0),
-            refused_before: (0, 0),
-            refused: (0, 0),
-        }
-    }
-
-    fn wire_role(&self) -> u32 {
-        match self.entry.role {
-            Role::Vehicle => Status::VEHICLE,
-            Role::Supervisor => Status::SUPERVISOR,
-            Role::Controller => Status::CONTROLLER,
-            Role::Trainer => Status::TRAINER,
-        }
-    }
-
-    fn is_ready(&self) -> bool {
-        matches!(self.state, State::Ready { .. })
-    }
-
-    fn start(&mut self, attachment: &Attachment) -> Result<(), Failure> {
-        self.incarnation += 1;
-        self.refused_before = self.all_refused();
-        self.refused = (0, 0);
-        // Only the ring shares a core; the trainer works while the ring rests.
-        let core = attachment.core.filter(|_| self.entry.role != Role::Trainer);
-        let attachment = Attachment { incarnation: self.incarnation, core, ..attachment.clone() };
-        let process = Process::start(&self.entry, &attachment, &self.log).map_err(|error| {
-            anyhow::Error::new(error).context(format!("failed to start the {}", self.name))
-        })?;
-        self.pid = process.id();
-        tracing::info!(process = self.name, pid = self.pid, "started");
-        self.state = State::Starting { process, since_ns: now_ns() };
-        Ok(())
-    }
-
-    /// Notes a sign of life. Whether it was the first.
-    fn beat(&mut self, now_ns: u64) -> bool {
-        match std::mem::replace(&mut self.state, State::Down { due_ns: now_ns }) {
-            State::Starting { process, .. } => {
-                self.state = State::Ready { process, beat_ns: now_ns };
-                true
-            }
-            State::Ready { process, .. } => {
-                self.state = State::Ready { process, beat_ns: now_ns };
-                false
-            }
-            down @ State::Down { .. } => {
-                self.state = down;
-                false
-            }
-        }
-    }
-
-    /// What is wrong with the process, if anything is.
-    fn trouble(&mut self, now_ns: u64) -> Option<String> {
-        if let Some(status) = self.state.process()?.try_wait() {
-            return Some(describe(status));
-        }
-        match &self.state {
-            State::Starting { since_ns, .. } if now_ns - since_ns > READY_WITHIN_NS => {
-                Some(format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000))
-            }
-            State::Ready { beat_ns, .. } if now_ns.saturating_sub(*beat_ns) > BEATS_WITHIN_NS => {
-                Some(format!("showed no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000))
-            }
-            _ => None,
-        }
-    }
-
-    fn given_up(&self, why: &str) -> Failure {
-        let lines = last_lines(&self.log, 5);
-        let said = if lines.is_empty() { "nothing".to_owned() } else { lines.join(" | ") };
-        Failure::GaveUp(format!(
-            "gave up: the {} {why}, too often in too short a time; it said last: {said}; \
-             look into {}",
-            self.name,
-            self.log.display(),
-        ))
-    }
-
-    fn state(&self) -> ProcessState {
-        let state = match self.state {
-            State::Down { .. } => "down",
-            State::Starting { .. } => "starting",
-            State::Ready { .. } => "ready",
-        };
-        let ProcessFacts { name, pid, restarts, dropped, rejected } = self.facts();
-        ProcessState {
-            name: name.to_owned(),
-            pid,
-            restarts,
-            state: state.to_owned(),
-            dropped,
-            rejected,
-        }
-    }
-
-    /// Samples dropped and rejected by all incarnations, as far as they told.
-    fn all_refused(&self) -> (u64, u64) {
-        (self.refused_before.0 + self.refused.0, self.refused_before.1 + self.refused.1)
-    }
-
-    fn facts(&self) -> ProcessFacts {
-        let (dropped, rejected) = self.all_refused();
-        ProcessFacts {
-            dropped,
-            rejected,
-            name: self.name,
-            pid: self.pid,
-            restarts: self.incarnation.saturating_sub(1) as u32,
         }
     }
 }

@@ -1,0 +1,185 @@
+//! One process of the pipeline over its starts and deaths: state, signs of life, what is wrong with it.
+
+use std::path::PathBuf;
+
+use config::launch::{ProcessEntry, Role};
+use ipc_types::Status;
+use runtime::Attachment;
+use runtime::clock::now_ns;
+
+use crate::Failure;
+use crate::housekeeping::ProcessState;
+use crate::pipeline::Plan;
+use crate::process::{Process, describe, last_lines};
+use crate::report::ProcessFacts;
+use crate::restart::{Budget, RestartPolicy};
+
+/// A process must be ready this soon after its start: it opens a dozen files.
+const READY_WITHIN_NS: u64 = 5_000_000_000;
+/// A ready process that shows no sign of life for this long is taken for frozen: five beats.
+const BEATS_WITHIN_NS: u64 = 500_000_000;
+
+/// A process of the pipeline, alive or not.
+pub(crate) struct Member {
+    pub(crate) entry: ProcessEntry,
+    pub(crate) name: &'static str,
+    pub(crate) log: PathBuf,
+    pub(crate) state: State,
+    pub(crate) policy: RestartPolicy,
+    pub(crate) incarnation: u64,
+    pub(crate) pid: u32,
+    /// Batch and tick that it reported last.
+    pub(crate) seen: (u64, u64),
+    /// Samples that its incarnations before this one dropped and rejected, and those of this one.
+    pub(crate) refused_before: (u64, u64),
+    pub(crate) refused: (u64, u64),
+}
+
+pub(crate) enum State {
+    /// To be started at this time.
+    Down { due_ns: u64 },
+    /// Up, and not ready yet.
+    Starting { process: Process, since_ns: u64 },
+    /// All its ports exist.
+    Ready { process: Process, beat_ns: u64 },
+}
+
+impl State {
+    pub(crate) fn process(&mut self) -> Option<&mut Process> {
+        match self {
+            State::Down { .. } => None,
+            State::Starting { process, .. } | State::Ready { process, .. } => Some(process),
+        }
+    }
+}
+
+impl Member {
+    pub(crate) fn new(entry: &ProcessEntry, plan: &Plan) -> Self {
+        let name = match entry.command {
+            Some(_) => entry.role.name(),
+            None => entry.role.own_service(),
+        };
+        Self {
+            entry: entry.clone(),
+            name,
+            log: plan.folder.join("logs").join(format!("{name}.log")),
+            state: State::Down { due_ns: 0 },
+            policy: RestartPolicy::new(Budget {
+                restarts: entry.restart_budget.unwrap_or(plan.budget.restarts),
+                ..plan.budget
+            }),
+            incarnation: 0,
+            pid: 0,
+            seen: (0, 0),
+            refused_before: (0, 0),
+            refused: (0, 0),
+        }
+    }
+
+    pub(crate) fn wire_role(&self) -> u32 {
+        match self.entry.role {
+            Role::Vehicle => Status::VEHICLE,
+            Role::Supervisor => Status::SUPERVISOR,
+            Role::Controller => Status::CONTROLLER,
+            Role::Trainer => Status::TRAINER,
+        }
+    }
+
+    pub(crate) fn is_ready(&self) -> bool {
+        matches!(self.state, State::Ready { .. })
+    }
+
+    pub(crate) fn start(&mut self, attachment: &Attachment) -> Result<(), Failure> {
+        self.incarnation += 1;
+        self.refused_before = self.all_refused();
+        self.refused = (0, 0);
+        // Only the ring shares a core; the trainer works while the ring rests.
+        let core = attachment.core.filter(|_| self.entry.role != Role::Trainer);
+        let attachment = Attachment { incarnation: self.incarnation, core, ..attachment.clone() };
+        let process = Process::start(&self.entry, &attachment, &self.log).map_err(|error| {
+            anyhow::Error::new(error).context(format!("failed to start the {}", self.name))
+        })?;
+        self.pid = process.id();
+        tracing::info!(process = self.name, pid = self.pid, "started");
+        self.state = State::Starting { process, since_ns: now_ns() };
+        Ok(())
+    }
+
+    /// Notes a sign of life. Whether it was the first.
+    pub(crate) fn beat(&mut self, now_ns: u64) -> bool {
+        match std::mem::replace(&mut self.state, State::Down { due_ns: now_ns }) {
+            State::Starting { process, .. } => {
+                self.state = State::Ready { process, beat_ns: now_ns };
+                true
+            }
+            State::Ready { process, .. } => {
+                self.state = State::Ready { process, beat_ns: now_ns };
+                false
+            }
+            down @ State::Down { .. } => {
+                self.state = down;
+                false
+            }
+        }
+    }
+
+    /// What is wrong with the process, if anything is.
+    pub(crate) fn trouble(&mut self, now_ns: u64) -> Option<String> {
+        if let Some(status) = self.state.process()?.try_wait() {
+            return Some(describe(status));
+        }
+        match &self.state {
+            State::Starting { since_ns, .. } if now_ns - since_ns > READY_WITHIN_NS => {
+                Some(format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000))
+            }
+            State::Ready { beat_ns, .. } if now_ns.saturating_sub(*beat_ns) > BEATS_WITHIN_NS => {
+                Some(format!("showed no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000))
+            }
+            _ => None,
+        }
+    }
+
+    pub(crate) fn given_up(&self, why: &str) -> Failure {
+        let lines = last_lines(&self.log, 5);
+        let said = if lines.is_empty() { "nothing".to_owned() } else { lines.join(" | ") };
+        Failure::GaveUp(format!(
+            "gave up: the {} {why}, too often in too short a time; it said last: {said}; \
+             look into {}",
+            self.name,
+            self.log.display(),
+        ))
+    }
+
+    pub(crate) fn state(&self) -> ProcessState {
+        let state = match self.state {
+            State::Down { .. } => "down",
+            State::Starting { .. } => "starting",
+            State::Ready { .. } => "ready",
+        };
+        let ProcessFacts { name, pid, restarts, dropped, rejected } = self.facts();
+        ProcessState {
+            name: name.to_owned(),
+            pid,
+            restarts,
+            state: state.to_owned(),
+            dropped,
+            rejected,
+        }
+    }
+
+    /// Samples dropped and rejected by all incarnations, as far as they told.
+    pub(crate) fn all_refused(&self) -> (u64, u64) {
+        (self.refused_before.0 + self.refused.0, self.refused_before.1 + self.refused.1)
+    }
+
+    pub(crate) fn facts(&self) -> ProcessFacts {
+        let (dropped, rejected) = self.all_refused();
+        ProcessFacts {
+            dropped,
+            rejected,
+            name: self.name,
+            pid: self.pid,
+            restarts: self.incarnation.saturating_sub(1) as u32,
+        }
+    }
+}
