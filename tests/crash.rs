@@ -153,6 +153,18 @@ fn scripted_faults_change_no_byte_and_are_told() {
 }
 
 #[test]
+fn a_slow_process_is_not_taken_for_a_frozen_one() {
+    let sandbox = Sandbox::new();
+    let args = ["lane_change", "--episodes", "1", "--set", "drive.loop_time_s=1.5"];
+    let calm = sandbox.train("calm", &args);
+    let slow = [&args[..], &["--chaos", "delay odometry 5ms"]].concat();
+    let slow = sandbox.train("slow", &slow);
+    assert_eq!(slow["digest"], calm["digest"]);
+    assert_eq!(slow["recovery"]["recoveries"], 0, "{}", slow["recovery"]);
+    sandbox.assert_clean();
+}
+
+#[test]
 fn a_frozen_service_is_replaced_within_a_second() {
     let sandbox = Sandbox::new();
     let calm = sandbox.train("calm", &TRAINING);

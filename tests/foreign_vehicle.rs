@@ -62,6 +62,11 @@ fn nobody_burns_a_core_while_a_slow_vehicle_drives() {
         // A spinning process would read 100 %, however slow the machine is.
         assert!(share < 0.2, "{name} burns {share}");
     }
+    let status = sandbox.run(&["status", "--json"]);
+    let status: serde_json::Value = serde_json::from_slice(&status.stdout).unwrap();
+    for process in status["runs"][0]["processes"].as_array().unwrap() {
+        assert_eq!(process["restarts"], 0, "taken for frozen: {process}");
+    }
     rustix::process::kill_process(
         rustix::process::Pid::from_raw(training.id()).unwrap(),
         rustix::process::Signal::INT,

@@ -108,6 +108,8 @@ pub fn serve(
                 order.note(waiting.has_waited());
             }
             waiting.progress();
+            // A step may take long, as a slow vehicle's does: then every one of them is looked behind.
+            look |= beat.is_due(now_ns());
             if let Some(saboteur) = &mut saboteur {
                 saboteur.strike(service.status());
             }
@@ -222,8 +224,12 @@ impl Heartbeat {
         Ok(())
     }
 
+    fn is_due(&self, now_ns: u64) -> bool {
+        now_ns - self.last_ns >= BEAT_NS
+    }
+
     fn send_if_due(&mut self, now_ns: u64, service: &dyn Service) -> Result<()> {
-        if now_ns - self.last_ns >= BEAT_NS {
+        if self.is_due(now_ns) {
             self.send(now_ns, service)?;
         }
         Ok(())
