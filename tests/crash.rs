@@ -265,10 +265,7 @@ fn what_a_killed_orchestrator_left_is_listed_and_cleaned() {
     training.wait_until_it_drives();
     signal(training.id(), Signal::KILL);
     training.finish();
-    let until = Instant::now() + Duration::from_secs(5);
-    while !sandbox.processes().is_empty() && Instant::now() < until {
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    sandbox.wait_until_nobody_lives();
     let dry = sandbox.run(&["clean", "--dry-run"]);
     assert!(String::from_utf8_lossy(&dry.stdout).contains("would remove"));
     let doctor = sandbox.run(&["doctor", "--json"]);

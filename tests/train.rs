@@ -197,11 +197,7 @@ fn a_killed_orchestrator_takes_its_processes_along_and_the_next_one_sweeps() {
     training.wait_until_it_drives();
     signal(training.id(), Signal::KILL);
     training.finish();
-    let until = std::time::Instant::now() + Duration::from_secs(5);
-    while !sandbox.processes().is_empty() {
-        assert!(std::time::Instant::now() < until, "orphans are left");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    sandbox.wait_until_nobody_lives();
     sandbox.train("next", &["lane_change", "--episodes", "1"]);
     sandbox.assert_clean();
 }

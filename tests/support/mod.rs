@@ -120,6 +120,15 @@ impl Sandbox {
         pids().filter(|pid| file_holds(format!("/proc/{pid}/environ"), &mark)).collect()
     }
 
+    /// Waits until a killed orchestrator's processes have followed it.
+    pub fn wait_until_nobody_lives(&self) {
+        let until = Instant::now() + Duration::from_secs(5);
+        while !self.processes().is_empty() {
+            assert!(Instant::now() < until, "orphans are left: {:?}", self.processes());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
     /// Id of the living process of a service, if there is one.
     pub fn service(&self, name: &str) -> Option<i32> {
         self.processes()
