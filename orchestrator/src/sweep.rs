@@ -1,0 +1,107 @@
+//! `pathtune validate` and `pathtune grid`: lists of drives through the pipeline, and their tables.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use config::{Gains, MAX_FLEET, RunConfig, SweepKind, SweepPlan};
+use serde_json::Value;
+
+use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
+use crate::pipeline::Interrupts;
+use crate::result::write_result;
+use crate::setup::{self, Folder};
+use crate::terminal::say;
+use crate::train::run_or_unmake;
+use crate::{Failure, tables};
+
+/// Drives the paper's gain sets, or the user's, without noise and with it. Returns the run's folder.
+///
+/// # Errors
+/// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
+pub fn validate(args: &ValidateArgs) -> Result<PathBuf, Failure> {
+    let interrupted = Interrupts::new()?;
+    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup)?;
+    // Whether a drive leaves the road is part of what a validation tells.
+    if !args.setup.set.iter().any(|set| set.trim_start().starts_with("collision.enabled")) {
+        layers.put("validate", "collision.enabled", true)?;
+    }
+    let mut config = layers.resolve()?;
+    let sets = parse_sets(&args.gains, &config)?;
+    let rows = if sets.is_empty() { config.paper.len() } else { sets.len() };
+    if rows == 0 {
+        return Err(Failure::User(format!(
+            "the paper has no gains for {}; name some with --gains Kv,Kl,Ks,Ki",
+            config.maneuver
+        )));
+    }
+    fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
+    let plan = SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, sets };
+    let name = format!("validate-{}", config.maneuver);
+    sweep(&args.setup, config, plan, &name, interrupted, "validate", tables::print_validation)
+}
+
+/// Drives every gain set of the grid without noise. Returns the run's folder.
+///
+/// # Errors
+/// As [`validate`].
+pub fn grid(args: &GridArgs) -> Result<PathBuf, Failure> {
+    let interrupted = Interrupts::new()?;
+    let mut config = setup::layers(args.maneuver.as_deref(), &args.setup)?.resolve()?;
+    let sets = parse_sets(&args.gains, &config)?;
+    if let Some(pair) = sets.iter().position(|set| set.len() != 1) {
+        let gains = &args.gains[pair];
+        return Err(Failure::User(format!("--gains {gains}: a grid drives one set at a time")));
+    }
+    let drives = config.grid.len() + sets.len() + 1;
+    fill_fleet(&mut config, &args.setup, drives);
+    let plan = SweepPlan { kind: SweepKind::Grid, repeats: 0, sets };
+    let name = format!("grid-{}", config.maneuver);
+    sweep(&args.setup, config, plan, &name, interrupted, "grid", tables::print_grid)
+}
+
+/// A fleet in which as many drives as possible are made at once, unless the user wants another.
+fn fill_fleet(config: &mut RunConfig, args: &SetupArgs, drives: usize) {
+    config.run.fleet = args.fleet.unwrap_or(drives.min(MAX_FLEET) as u32);
+}
+
+fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec<Gains>>, Failure> {
+    let due = config.maneuvers_due();
+    gains
+        .iter()
+        .map(|text| {
+            let fail = |why: String| Failure::User(format!("--gains {text}: {why}"));
+            let sets = Gains::parse_sets(text).map_err(fail)?;
+            if sets.len() != 1 && sets.len() != due.len() {
+                let names = due.join(", ");
+                return Err(fail(format!(
+                    "holds {} sets; give one, or one for each of {names}",
+                    sets.len()
+                )));
+            }
+            Ok(sets)
+        })
+        .collect()
+}
+
+fn sweep(
+    args: &SetupArgs,
+    config: RunConfig,
+    plan: SweepPlan,
+    name: &str,
+    interrupted: Interrupts,
+    kind: &str,
+    print: fn(&RunConfig, &Value) -> Result<(), Failure>,
+) -> Result<PathBuf, Failure> {
+    let launch = setup::launch(args, Some("schedule"))?;
+    let ready =
+        setup::prepare(args, config, launch, Some(plan), Folder::New(name), interrupted)?;
+    let facts = run_or_unmake(&ready, true)?;
+    let plan = &ready.plan;
+    let result = write_result(&plan.folder, kind, &plan.config, &facts)?;
+    if args.json {
+        say!("{}", serde_json::to_string_pretty(&result).context("result.json")?);
+    } else {
+        print(&plan.config, &result)?;
+    }
+    Ok(plan.folder.clone())
+}

@@ -1,0 +1,280 @@
+//! Records drives tick by tick, without a gap: what the figures are drawn from.
+
+use std::collections::VecDeque;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use ipc_types::{
+    BatchHeader, Command, Credit, DriveRequest, Message, Odometry, TickHeader, TrackingError, has,
+};
+use runtime::clock::now_ns;
+use runtime::{Bus, Inlet, Outlet, Received};
+use serde::Serialize;
+use tracking::{Pose, tracking_error};
+
+/// One tick of a recorded drive: a line of its CSV file.
+///
+/// Poses are those of the tracked point in the map frame, errors those of the true pose in the vehicle frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[allow(missing_docs, reason = "units and meaning are those of ipc_types")]
+pub struct Row {
+    pub tick: u64,
+    pub time_s: f64,
+    pub x_m: f64,
+    pub y_m: f64,
+    pub yaw_rad: f64,
+    pub measured_x_m: f64,
+    pub measured_y_m: f64,
+    pub measured_yaw_rad: f64,
+    pub speed_mps: f64,
+    pub yaw_rate_radps: f64,
+    pub steering_rad: f64,
+    pub reference_x_m: f64,
+    pub reference_y_m: f64,
+    pub reference_yaw_rad: f64,
+    pub along_track_m: f64,
+    pub cross_track_m: f64,
+    pub heading_rad: f64,
+    pub command_speed_mps: f64,
+    pub command_yaw_rate_radps: f64,
+    pub command_steering_rad: f64,
+    pub flags: u32,
+    pub zone: u32,
+}
+
+/// Messages of a topic that one look takes at most: the vehicle waits for the recorder, not for all of them.
+const AT_ONCE: usize = 64;
+/// Ticks between two credits: a quarter of what the vehicle may run ahead.
+const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
+
+/// Records the drives of a batch that ask for it.
+pub(crate) struct Recorder {
+    run: u64,
+    tick_s: f64,
+    requests: Inlet<DriveRequest>,
+    odometry: Side<Odometry>,
+    errors: Side<TrackingError>,
+    commands: Side<Command>,
+    credits: Outlet<Credit>,
+    batch: BatchHeader,
+    /// The slots that are recorded, each with its learner, its step and what was recorded.
+    slots: Vec<Recorded>,
+    ticks: u64,
+    credited: u64,
+}
+
+struct Recorded {
+    slot: usize,
+    learner: u32,
+    step: u32,
+    rows: Vec<Row>,
+}
+
+/// One of the topics that are joined: what was taken of it and not yet joined with the others.
+struct Side<M: Message> {
+    inlet: Inlet<M>,
+    /// A message of a batch whose request has not come yet: the two travel on different topics.
+    early: Option<Received<M>>,
+    /// The elements of the recorded slots, tick by tick.
+    taken: VecDeque<M>,
+    next_tick: u64,
+}
+
+impl<M: Message<Header = TickHeader>> Side<M> {
+    fn new(bus: &Bus) -> Result<Self> {
+        Ok(Self { inlet: bus.observe()?, early: None, taken: VecDeque::new(), next_tick: 0 })
+    }
+
+    fn reset(&mut self) {
+        self.taken.clear();
+        self.next_tick = 0;
+    }
+
+    /// Takes what has come; whether there was anything.
+    fn take(&mut self, batch: BatchHeader, slots: &[Recorded]) -> Result<bool> {
+        for taken in 0..AT_ONCE {
+            let message = match self.early.take() {
+                Some(early) => early,
+                None => match self.inlet.receive()? {
+                    Some(message) => message,
+                    None => return Ok(taken > 0),
+                },
+            };
+            let header = message.header();
+            if header.run == batch.run
+                && (header.batch, header.attempt) > (batch.batch, batch.attempt)
+            {
+                self.early = Some(message);
+                return Ok(taken > 0);
+            }
+            let fits = (header.run, header.batch, header.attempt, header.tick)
+                == (batch.run, batch.batch, batch.attempt, self.next_tick);
+            // Behind a gap nothing fits any more: the drive remains unfinished, and is driven again.
+            if !fits || slots.iter().any(|slot| slot.slot >= message.items().len()) {
+                continue;
+            }
+            self.taken.extend(slots.iter().map(|slot| message.items()[slot.slot]));
+            self.next_tick += 1;
+        }
+        Ok(true)
+    }
+}
+
+impl Recorder {
+    pub(crate) fn new(bus: &Bus, run: u64, tick_s: f64) -> Result<Self> {
+        Ok(Self {
+            run,
+            tick_s,
+            requests: bus.inlet()?,
+            odometry: Side::new(bus)?,
+            errors: Side::new(bus)?,
+            commands: Side::new(bus)?,
+            credits: bus.outlet()?,
+            batch: BatchHeader::default(),
+            slots: Vec::new(),
+            ticks: 0,
+            credited: 0,
+        })
+    }
+
+    /// Takes over what has come; whether there was anything.
+    pub(crate) fn poll(&mut self) -> Result<bool> {
+        if let Some(request) = self.requests.receive_newest()? {
+            self.start_batch(request.header(), request.items());
+        }
+        if self.slots.is_empty() {
+            return Ok(false);
+        }
+        let Self { batch, slots, .. } = self;
+        let mut any = self.odometry.take(*batch, slots)?;
+        any |= self.errors.take(*batch, slots)?;
+        any |= self.commands.take(*batch, slots)?;
+        self.join_sides();
+        if self.ticks >= self.credited + CREDIT_EVERY {
+            self.credited = self.ticks;
+            let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
+            let credit = Credit { ticks: self.ticks };
+            self.credits.send(header, 1, |_| credit)?;
+        }
+        Ok(any)
+    }
+
+    fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) {
+        self.slots.clear();
+        if header.run != self.run {
+            return;
+        }
+        self.batch = header;
+        (self.ticks, self.credited) = (0, 0);
+        self.odometry.reset();
+        self.errors.reset();
+        self.commands.reset();
+        self.slots.extend(
+            requests
+                .iter()
+                .enumerate()
+                .filter(|(_, request)| has(request.flags, DriveRequest::RECORDED))
+                .map(|(slot, request)| Recorded {
+                    slot,
+                    learner: request.learner,
+                    step: request.step,
+                    rows: Vec::with_capacity(request.ticks as usize),
+                }),
+        );
+    }
+
+    fn join_sides(&mut self) {
+        let (odometry, errors, commands) =
+            (&mut self.odometry.taken, &mut self.errors.taken, &mut self.commands.taken);
+        let count = self.slots.len();
+        while odometry.len().min(errors.len()).min(commands.len()) >= count {
+            let all =
+                odometry.drain(..count).zip(errors.drain(..count)).zip(commands.drain(..count));
+            for (slot, ((odometry, error), command)) in self.slots.iter_mut().zip(all) {
+                slot.rows.push(row(self.ticks, self.tick_s, &odometry, &error, &command));
+            }
+            self.ticks += 1;
+        }
+    }
+
+    /// The recording of a drive that lasted so many ticks, once it is whole.
+    pub(crate) fn take_whole(&mut self, learner: u32, step: u32, ticks: u64) -> Option<Vec<Row>> {
+        let slot = self.slots.iter_mut().find(|it| (it.learner, it.step) == (learner, step))?;
+        if (slot.rows.len() as u64) < ticks {
+            return None;
+        }
+        // The others of the batch may drive on; this one has stood still since.
+        let mut rows = std::mem::take(&mut slot.rows);
+        rows.truncate(ticks as usize);
+        Some(rows)
+    }
+}
+
+fn row(
+    tick: u64,
+    tick_s: f64,
+    odometry: &Odometry,
+    error: &TrackingError,
+    command: &Command,
+) -> Row {
+    let pose =
+        |wire: ipc_types::WirePose| Pose { x_m: wire.x_m, y_m: wire.y_m, yaw_rad: wire.yaw_rad };
+    let measured = pose(odometry.measured);
+    let truth =
+        if has(odometry.status, Odometry::HAS_TRUTH) { pose(odometry.truth) } else { measured };
+    // The controller tells the error of the measured pose; the reference is where that points to.
+    let apart =
+        measured.rotation() * nalgebra::Vector2::new(error.along_track_m, error.cross_track_m);
+    let reference = Pose {
+        x_m: measured.x_m + apart.x,
+        y_m: measured.y_m + apart.y,
+        yaw_rad: measured.yaw_rad + error.heading_rad,
+    };
+    let true_error = tracking_error(reference, truth);
+    Row {
+        tick,
+        time_s: tick as f64 * tick_s,
+        x_m: truth.x_m,
+        y_m: truth.y_m,
+        yaw_rad: truth.yaw_rad,
+        measured_x_m: measured.x_m,
+        measured_y_m: measured.y_m,
+        measured_yaw_rad: measured.yaw_rad,
+        speed_mps: odometry.speed_mps,
+        yaw_rate_radps: odometry.yaw_rate_radps,
+        steering_rad: odometry.steering_rad,
+        reference_x_m: reference.x_m,
+        reference_y_m: reference.y_m,
+        reference_yaw_rad: reference.yaw_rad,
+        along_track_m: true_error.along_track_m,
+        cross_track_m: true_error.cross_track_m,
+        heading_rad: true_error.heading_rad,
+        command_speed_mps: command.speed_mps,
+        command_yaw_rate_radps: command.yaw_rate_radps,
+        command_steering_rad: command.steering_rad,
+        flags: command.flags,
+        zone: command.zone,
+    }
+}
+
+/// Folder of the recorded drives in the run's folder.
+pub(crate) const DRIVES_FOLDER: &str = "drives";
+
+/// Writes a recording: whoever sees the file sees all of it.
+pub(crate) fn write(run: &Path, name: &str, rows: &[Row]) -> Result<()> {
+    let folder = run.join(DRIVES_FOLDER);
+    let path = folder.join(format!("{name}.csv"));
+    let part = folder.join(format!("{name}.part"));
+    let write = || -> Result<()> {
+        fs::create_dir_all(&folder)?;
+        let mut writer = csv::Writer::from_path(&part)?;
+        for row in rows {
+            writer.serialize(row)?;
+        }
+        writer.flush()?;
+        drop(writer);
+        Ok(fs::rename(&part, &path)?)
+    };
+    write().with_context(|| format!("failed to write {}", path.display()))
+}

@@ -1,0 +1,266 @@
+//! The gain schedule's process: the trainer's role outside training.
+//!
+//! It asks for the drives of a plan instead of learning, answers each zone with that zone's gains, and writes
+//! what the drives have come to.
+
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use anyhow::{Context, Result};
+use config::{Gains, RunConfig, SweepKind, SweepPlan};
+use ipc_types::{
+    BatchHeader, DriveOutcome, DriveRequest, GainSwitch, LearnerProgress, Proposal, WakeRole, Zone,
+};
+use runtime::clock::now_ns;
+use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
+
+use crate::grid::GridSweep;
+use crate::service::write_outcome;
+use crate::sweeping::{Place, Progress, Sweeping};
+use crate::validation::{Switch, Validation};
+
+/// Runs the process until it is asked to stop.
+///
+/// # Errors
+/// If it cannot join the run, the plan cannot be read, or the transport fails.
+pub fn run() -> Result<()> {
+    let (attachment, bus, config) = join()?;
+    let path = attachment.folder.join(SweepPlan::FILE);
+    let text =
+        std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
+    let plan = SweepPlan::parse(&text)?;
+    let bus = Rc::new(bus);
+    let mut schedule = Schedule::new(&bus, config, &plan, &attachment)?;
+    serve(&attachment, &bus, WakeRole::Trainer, &mut schedule)
+}
+
+struct Schedule {
+    requests: Inlet<DriveRequest>,
+    zones: Inlet<Zone>,
+    outcomes: Inlet<DriveOutcome>,
+    proposals: Outlet<Proposal>,
+    progress: Outlet<LearnerProgress>,
+    gains: Outlet<GainSwitch>,
+    run: u64,
+    folder: std::path::PathBuf,
+    config: RunConfig,
+    subject: Subject,
+    sweeping: Sweeping,
+    /// Learner and step of each slot of the batch that was requested last.
+    batch: (BatchHeader, Vec<(u32, u32)>),
+    /// Zones of a batch whose request has not come yet: the two travel on different topics.
+    early: Vec<(BatchHeader, Zone)>,
+    /// The switches of each drive, in its last attempt.
+    switches: BTreeMap<usize, Vec<Switch>>,
+    stage: Stage,
+    counters: Counters,
+}
+
+enum Subject {
+    Validation(Validation),
+    Grid(GridSweep),
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Stage {
+    /// Nothing was asked for yet.
+    Fresh,
+    Driving,
+    /// The outcome is written, and was announced.
+    Over,
+}
+
+impl Schedule {
+    fn new(
+        bus: &Rc<Bus>,
+        config: RunConfig,
+        plan: &SweepPlan,
+        attachment: &Attachment,
+    ) -> Result<Self> {
+        let subject = match plan.kind {
+            SweepKind::Validate => Subject::Validation(Validation::new(&config, plan)),
+            SweepKind::Grid => Subject::Grid(GridSweep::new(&config, plan)),
+        };
+        let drives = match &subject {
+            Subject::Validation(validation) => validation.drives(),
+            Subject::Grid(grid) => grid.drives(),
+        };
+        let place = Place {
+            run: attachment.names.run,
+            folder: attachment.folder.clone(),
+            max_len: attachment.max_len,
+            tick_s: config.drive.tick_s,
+            ticks: config.ticks(),
+            incarnation: attachment.incarnation,
+        };
+        Ok(Self {
+            requests: bus.inlet()?,
+            zones: bus.inlet()?,
+            outcomes: bus.inlet()?,
+            proposals: bus.outlet()?,
+            progress: bus.outlet()?,
+            gains: bus.outlet()?,
+            run: attachment.names.run,
+            folder: attachment.folder.clone(),
+            sweeping: Sweeping::new(bus, place, 0, drives)?,
+            config,
+            subject,
+            batch: (BatchHeader::default(), Vec::new()),
+            early: Vec::new(),
+            switches: BTreeMap::new(),
+            stage: Stage::Fresh,
+            counters: Counters::default(),
+        })
+    }
+
+    fn propose(&mut self) -> Result<()> {
+        self.stage = Stage::Driving;
+        let progress = self.sweeping.progress();
+        let header = self.sweeping.header(LearnerProgress::DRIVES);
+        self.progress.send(header, 1, |_| progress)?;
+        let wanted = self.sweeping.wanted();
+        if !wanted.is_empty() {
+            self.proposals.send(self.sweeping.header(0), wanted.len(), |index| wanted[index])?;
+        }
+        Ok(())
+    }
+
+    /// Hears which drives are under way; whether there was anything.
+    fn hear_request(&mut self) -> Result<bool> {
+        let Some(request) = self.requests.receive_newest()? else { return Ok(false) };
+        if request.header().run != self.run {
+            self.counters.dropped += 1;
+            return Ok(true);
+        }
+        let slots = request.items().iter().map(|slot| (slot.learner, slot.step)).collect();
+        self.batch = (request.header(), slots);
+        for (learner, step) in &self.batch.1 {
+            if let Some(index) = self.sweeping.sweep().index_of(*learner, *step) {
+                self.switches.remove(&index);
+            }
+        }
+        let early = std::mem::take(&mut self.early);
+        self.answer(early)?;
+        Ok(true)
+    }
+
+    /// Hears which zones were entered; whether there was anything.
+    fn hear_zones(&mut self) -> Result<bool> {
+        let Some(zones) = self.zones.receive()? else { return Ok(false) };
+        let header = zones.header();
+        let zones = zones.items().iter().map(|zone| (header, *zone)).collect();
+        self.answer(zones)?;
+        Ok(true)
+    }
+
+    /// Answers zones with their gains, in one message.
+    fn answer(&mut self, zones: Vec<(BatchHeader, Zone)>) -> Result<()> {
+        let Self { batch: (batch, slots), sweeping, config, switches, early, counters, .. } = self;
+        let mut answers = Vec::with_capacity(zones.len());
+        for (header, zone) in zones {
+            if (header.batch, header.attempt) > (batch.batch, batch.attempt) {
+                early.push((header, zone));
+                continue;
+            }
+            let is_of_batch = (header.run, header.batch, header.attempt)
+                == (batch.run, batch.batch, batch.attempt);
+            let index = slots
+                .get(zone.slot as usize)
+                .filter(|_| is_of_batch)
+                .and_then(|(learner, step)| sweeping.sweep().index_of(*learner, *step));
+            let Some(index) = index else {
+                counters.dropped += 1;
+                continue;
+            };
+            let by_zone = &sweeping.sweep().drive(index).by_zone;
+            let entered = config.path.zones.get(zone.zone as usize);
+            let (Some(&gains), Some(entered)) = (by_zone.get(zone.zone as usize), entered) else {
+                // A single set holds in all zones.
+                continue;
+            };
+            let Gains { kv, kl, ks, ki } = gains;
+            tracing::info!(
+                tick = zone.from_tick,
+                drive = index,
+                zone = entered.name,
+                kv,
+                kl,
+                ks,
+                ki,
+                "switch"
+            );
+            switches.entry(index).or_default().push(Switch {
+                tick: zone.from_tick,
+                zone: zone.zone,
+                name: entered.name.clone(),
+                gains,
+            });
+            let gains = ipc_types::Gains { kv, kl, ks, ki };
+            let Zone { from_tick, slot, zone } = zone;
+            answers.push(GainSwitch { gains, from_tick, slot, zone });
+        }
+        if !answers.is_empty() {
+            let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..*batch };
+            self.gains.send(header, answers.len(), |index| answers[index])?;
+        }
+        Ok(())
+    }
+
+    /// Writes and announces the outcome once all drives are over, else asks for the rest.
+    fn go_on(&mut self) -> Result<()> {
+        if self.sweeping.is_recording() {
+            return Ok(());
+        }
+        let Some(reports) = self.sweeping.reports() else { return self.propose() };
+        match &self.subject {
+            Subject::Validation(validation) => {
+                let mut switches = vec![Vec::new(); validation.len()];
+                for (drive, of_drive) in &self.switches {
+                    if let Some(row) = validation.noise_free_row(*drive) {
+                        switches[row] = of_drive.clone();
+                    }
+                }
+                let mut outcome = validation.outcome(&reports, &switches);
+                outcome.drives_recorded = self.sweeping.recorded();
+                write_outcome(&self.folder, &outcome)?;
+            }
+            Subject::Grid(grid) => write_outcome(&self.folder, &grid.outcome(&reports))?,
+        }
+        self.stage = Stage::Over;
+        let header = self.sweeping.header(Proposal::FINISHED);
+        self.proposals.send(header, 1, |_| Proposal::default())?;
+        Ok(())
+    }
+}
+
+impl Service for Schedule {
+    fn poll(&mut self) -> Result<bool> {
+        if self.stage == Stage::Fresh {
+            self.go_on()?;
+            return Ok(true);
+        }
+        // A zone waits for nobody's answer but this one.
+        let mut any = self.hear_request()? | self.hear_zones()?;
+        match self.sweeping.poll()? {
+            Progress::None => {}
+            Progress::Recording => any = true,
+            Progress::Recorded => {
+                any = true;
+                self.go_on()?;
+            }
+        }
+        let Some(outcomes) = self.outcomes.receive()? else { return Ok(any) };
+        if outcomes.header().run != self.run || self.stage == Stage::Over {
+            self.counters.dropped += 1;
+            return Ok(true);
+        }
+        self.counters.batch = outcomes.items().first().map_or(0, |outcome| outcome.batch);
+        self.counters.dropped += self.sweeping.learn(outcomes.items())?;
+        self.go_on()?;
+        Ok(true)
+    }
+
+    fn status(&self) -> Counters {
+        self.counters
+    }
+}

@@ -1,0 +1,132 @@
+//! A list of drives, each made once: what is driven outside learning.
+
+use config::Gains;
+use ipc_types::{DriveReport, DriveRequest, Proposal};
+
+/// One drive of a sweep.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlannedDrive {
+    /// The gains of each zone; a single set holds in all of them.
+    pub by_zone: Vec<Gains>,
+    /// Seed of the noise; none for a drive without.
+    pub seed: Option<u64>,
+    /// The file, without its ending, that its recording goes to; none for a drive that is not recorded.
+    pub record: Option<String>,
+}
+
+/// A list of drives, each made once, in any order.
+///
+/// To the orchestrator each of them is a learner of its own, with a single step.
+#[derive(Debug, Clone)]
+pub struct Sweep {
+    first_learner: u32,
+    step: u32,
+    ticks: u64,
+    drives: Vec<PlannedDrive>,
+    reports: Vec<Option<DriveReport>>,
+}
+
+impl Sweep {
+    /// A sweep whose drives go by the learners `first_learner`, `first_learner + 1`, … and by `step`. A
+    /// process that was restarted takes another step than its predecessor, and so is never answered what
+    /// that one had asked for.
+    pub fn new(first_learner: u32, step: u32, ticks: u64, drives: Vec<PlannedDrive>) -> Self {
+        let reports = vec![None; drives.len()];
+        Self { first_learner, step, ticks, drives, reports }
+    }
+
+    /// The drives that are still wanted, at most so many.
+    pub fn wanted(&self, at_most: usize) -> Vec<Proposal> {
+        (self.first_learner..)
+            .zip(self.drives.iter().zip(&self.reports))
+            .filter(|(_, (_, report))| report.is_none())
+            .take(at_most)
+            .map(|(learner, (drive, _))| self.proposal(learner, drive))
+            .collect()
+    }
+
+    fn proposal(&self, learner: u32, drive: &PlannedDrive) -> Proposal {
+        let flag = |on: bool, bit: u32| if on { bit } else { 0 };
+        let Gains { kv, kl, ks, ki } = drive.by_zone[0];
+        Proposal {
+            gains: ipc_types::Gains { kv, kl, ks, ki },
+            seed: drive.seed.unwrap_or_default(),
+            ticks: self.ticks,
+            learner,
+            step: self.step,
+            flags: flag(drive.seed.is_some(), DriveRequest::NOISE)
+                | flag(drive.by_zone.len() > 1, DriveRequest::SCHEDULED)
+                | flag(drive.record.is_some(), DriveRequest::RECORDED),
+            reserved: 0,
+        }
+    }
+
+    /// The number of the drive that goes by `learner` and `step`.
+    pub fn index_of(&self, learner: u32, step: u32) -> Option<usize> {
+        let index = learner.checked_sub(self.first_learner)? as usize;
+        (step == self.step && index < self.drives.len()).then_some(index)
+    }
+
+    /// A drive of the list.
+    pub fn drive(&self, index: usize) -> &PlannedDrive {
+        &self.drives[index]
+    }
+
+    /// Takes the report of a drive; whether it was wanted.
+    pub fn take(&mut self, report: &DriveReport) -> bool {
+        let Some(index) = self.index_of(report.learner, report.step) else { return false };
+        self.reports[index].replace(*report).is_none()
+    }
+
+    /// Drives in all.
+    pub fn len(&self) -> usize {
+        self.drives.len()
+    }
+
+    /// Whether nothing is to be driven.
+    pub fn is_empty(&self) -> bool {
+        self.drives.is_empty()
+    }
+
+    /// Drives that are over.
+    pub fn done(&self) -> usize {
+        self.reports.iter().filter(|report| report.is_some()).count()
+    }
+
+    /// The reports, in the order of the drives, once all are over.
+    pub fn reports(&self) -> Option<Vec<DriveReport>> {
+        self.reports.iter().copied().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_drive_is_asked_for_until_it_is_reported() {
+        let gains = Gains { kv: 1.0, kl: 2.0, ks: 3.0, ki: 0.5 };
+        let plain = PlannedDrive { by_zone: vec![gains], seed: None, record: None };
+        let rich = PlannedDrive {
+            by_zone: vec![gains; 3],
+            seed: Some(4),
+            record: Some("rich".to_owned()),
+        };
+        let mut sweep = Sweep::new(5, 2, 100, vec![plain, rich]);
+        let wanted = sweep.wanted(9);
+        assert_eq!(wanted.iter().map(|it| it.learner).collect::<Vec<_>>(), [5, 6]);
+        assert_eq!((wanted[0].flags, wanted[0].seed), (0, 0));
+        let all = DriveRequest::NOISE | DriveRequest::SCHEDULED | DriveRequest::RECORDED;
+        assert_eq!((wanted[1].flags, wanted[1].seed), (all, 4));
+        assert_eq!(sweep.wanted(1).len(), 1);
+
+        let report = |learner, step| DriveReport { learner, step, ..DriveReport::default() };
+        assert!(!sweep.take(&report(4, 2)) && !sweep.take(&report(7, 2)));
+        assert!(!sweep.take(&report(5, 1)), "what a predecessor asked for");
+        assert!(sweep.take(&report(6, 2)) && !sweep.take(&report(6, 2)));
+        assert!(sweep.reports().is_none());
+        assert!(sweep.take(&report(5, 2)));
+        assert_eq!(sweep.reports().unwrap()[1].learner, 6);
+        assert!(sweep.wanted(9).is_empty());
+    }
+}

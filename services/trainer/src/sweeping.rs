@@ -1,0 +1,164 @@
+//! A sweep joined to the pipeline: asks for its drives, records those that are to be, takes their reports.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Result, ensure};
+use ipc_types::{BatchHeader, DriveOutcome, DriveReport, LearnerProgress, Proposal};
+use runtime::Bus;
+use runtime::clock::now_ns;
+
+use crate::recording::{Recorder, write};
+use crate::sweep::{PlannedDrive, Sweep};
+
+/// Where a sweep belongs.
+pub(crate) struct Place {
+    pub(crate) run: u64,
+    pub(crate) folder: PathBuf,
+    pub(crate) max_len: usize,
+    pub(crate) tick_s: f64,
+    /// Full length of a drive.
+    pub(crate) ticks: u64,
+    /// Which start of the process it is.
+    pub(crate) incarnation: u64,
+}
+
+/// A recording that is not whole so long behind its report will never be: a vehicle that does not wait for
+/// the recorder was too fast for it.
+const RECORDING_PATIENCE: Duration = Duration::from_millis(500);
+
+/// What one look at a sweep has brought.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Progress {
+    /// Nothing.
+    None,
+    /// Some ticks of a recording.
+    Recording,
+    /// The last recording that was waited for is written.
+    Recorded,
+}
+
+/// A sweep that is being driven.
+pub(crate) struct Sweeping {
+    place: Place,
+    sweep: Sweep,
+    recorder: Option<Recorder>,
+    /// Reports whose recordings are not whole yet, with the time at which they came.
+    unrecorded: Vec<(DriveReport, u64)>,
+    /// Names of the drives that were recorded.
+    recorded: Vec<String>,
+}
+
+impl Sweeping {
+    pub(crate) fn new(
+        bus: &Bus,
+        place: Place,
+        first_learner: u32,
+        drives: Vec<PlannedDrive>,
+    ) -> Result<Self> {
+        let records = drives.iter().any(|drive| drive.record.is_some());
+        // Observers cost every tick a little: only where there is something to record.
+        let recorder =
+            if records { Some(Recorder::new(bus, place.run, place.tick_s)?) } else { None };
+        let sweep = Sweep::new(first_learner, place.incarnation as u32, place.ticks, drives);
+        Ok(Self { place, sweep, recorder, unrecorded: Vec::new(), recorded: Vec::new() })
+    }
+
+    /// The drives that are still wanted, as many as one message carries.
+    pub(crate) fn wanted(&self) -> Vec<Proposal> {
+        self.sweep.wanted(self.place.max_len)
+    }
+
+    pub(crate) fn sweep(&self) -> &Sweep {
+        &self.sweep
+    }
+
+    /// Names of the drives that were recorded, in their order.
+    pub(crate) fn recorded(&self) -> Vec<String> {
+        let mut names = self.recorded.clone();
+        names.sort();
+        names
+    }
+
+    /// Takes outcomes; how many of them were not wanted.
+    pub(crate) fn learn(&mut self, outcomes: &[DriveOutcome]) -> Result<u64> {
+        let mut dropped = 0;
+        for DriveOutcome { report, .. } in outcomes {
+            let plausible =
+                [report.mean_abs_cross_m, report.mean_abs_heading_rad, report.along_mse_m2]
+                    .into_iter()
+                    .chain([report.cross_mse_m2, report.max_abs_cross_m])
+                    .all(|number| number.is_finite() && number >= 0.0);
+            // Asking again would bring the same report again.
+            ensure!(plausible, "impossible numbers in a drive report: {report:?}");
+            let Some(index) = self.sweep.index_of(report.learner, report.step) else {
+                dropped += 1;
+                continue;
+            };
+            if self.sweep.drive(index).record.is_some() {
+                self.unrecorded.push((*report, now_ns()));
+            } else {
+                dropped += u64::from(!self.sweep.take(report));
+            }
+        }
+        Ok(dropped)
+    }
+
+    /// Records. What was reported is over once its recording is written.
+    pub(crate) fn poll(&mut self) -> Result<Progress> {
+        let Some(recorder) = &mut self.recorder else { return Ok(Progress::None) };
+        let any = recorder.poll()?;
+        let waited = !self.unrecorded.is_empty();
+        let mut waiting = Vec::new();
+        for (report, since_ns) in self.unrecorded.drain(..) {
+            let name = self
+                .sweep
+                .index_of(report.learner, report.step)
+                .and_then(|index| self.sweep.drive(index).record.clone())
+                .unwrap_or_default();
+            match recorder.take_whole(report.learner, report.step, report.ticks) {
+                Some(rows) => {
+                    write(&self.place.folder, &name, &rows)?;
+                    self.recorded.push(name);
+                }
+                None if now_ns() - since_ns < RECORDING_PATIENCE.as_nanos() as u64 => {
+                    waiting.push((report, since_ns));
+                    continue;
+                }
+                None => tracing::warn!(name, "the recording has gaps, and was not written"),
+            }
+            self.sweep.take(&report);
+        }
+        self.unrecorded = waiting;
+        Ok(match any {
+            _ if waited && self.unrecorded.is_empty() => Progress::Recorded,
+            true => Progress::Recording,
+            false => Progress::None,
+        })
+    }
+
+    /// Whether reports wait for their recordings: then nothing more is asked for.
+    pub(crate) fn is_recording(&self) -> bool {
+        !self.unrecorded.is_empty()
+    }
+
+    /// The reports, once all drives are over.
+    pub(crate) fn reports(&self) -> Option<Vec<DriveReport>> {
+        if self.is_recording() { None } else { self.sweep.reports() }
+    }
+
+    /// Where the sweep stands; goes with [`LearnerProgress::DRIVES`].
+    pub(crate) fn progress(&self) -> LearnerProgress {
+        LearnerProgress {
+            epsilon: 0.0,
+            best_distance: f64::INFINITY,
+            asked: self.sweep.done() as u64,
+            episode: self.sweep.done() as u32,
+            episodes: self.sweep.len() as u32,
+        }
+    }
+
+    pub(crate) fn header(&self, flags: u32) -> BatchHeader {
+        BatchHeader { run: self.place.run, flags, sent_ns: now_ns(), ..BatchHeader::default() }
+    }
+}
