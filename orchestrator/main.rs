@@ -30,7 +30,10 @@ fn main() -> ExitCode {
         }
     };
     let result = match cli.command {
-        Command::Train(args) => orchestrator::train(&args),
+        Command::Train(args) => orchestrator::train(&args).map(|_| ()),
+        Command::Validate(args) => orchestrator::validate(&args).map(|_| ()),
+        Command::Grid(args) => orchestrator::grid(&args).map(|_| ()),
+        Command::Report { .. } => Ok(()),
         Command::Bench(args) => orchestrator::bench(&args),
         Command::Status { json } => orchestrator::status(json),
         Command::Stop { run } => orchestrator::stop(run.as_deref()),
@@ -57,6 +60,7 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
         ServiceCommand::Controller => controller::service::run(),
         ServiceCommand::Supervisor => supervisor::service::run(),
         ServiceCommand::Trainer => trainer::service::run(),
+        ServiceCommand::Schedule => trainer::schedule::run(),
         ServiceCommand::Ring { hop, rounds } => runtime::ring::run(match hop {
             HopArg::First => Hop::First { rounds },
             HopArg::Second => Hop::Second,

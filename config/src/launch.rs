@@ -38,11 +38,13 @@ impl Role {
         Self::ALL.into_iter().find(|role| role.name() == name)
     }
 
-    /// Our own service in that role.
-    pub fn own_service(self) -> &'static str {
+    /// Our own services that can fill the role, the usual one first.
+    pub fn own_services(self) -> &'static [&'static str] {
         match self {
-            Role::Vehicle => "simulator",
-            other => other.name(),
+            Role::Vehicle => &["simulator"],
+            Role::Controller => &["controller"],
+            Role::Supervisor => &["supervisor"],
+            Role::Trainer => &["trainer", "schedule"],
         }
     }
 }
@@ -56,6 +58,9 @@ pub struct ProcessEntry {
     /// A program of the user's in that role; our own service where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub command: Option<String>,
+    /// Our own service in that role, where it is not the usual one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub service: Option<String>,
     /// Whether the same request always gives the same drive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deterministic: Option<bool>,
@@ -65,6 +70,20 @@ pub struct ProcessEntry {
 }
 
 impl ProcessEntry {
+    /// Our own service for this entry, if it is one that the role knows.
+    fn find_service(&self) -> Option<&'static str> {
+        let services = self.role.own_services();
+        match &self.service {
+            None => services.first().copied(),
+            Some(name) => services.iter().copied().find(|service| service == name),
+        }
+    }
+
+    /// Our own service for this entry.
+    pub fn own_service(&self) -> &'static str {
+        self.find_service().unwrap_or(self.role.name())
+    }
+
     /// Whether the same request gives the same drive: ours do, a user's program only if it says so.
     pub fn is_deterministic(&self) -> bool {
         self.deterministic.unwrap_or(self.command.is_none())
@@ -96,6 +115,14 @@ impl Launch {
             let line = text.as_bytes()[..offset].iter().filter(|byte| **byte == b'\n').count() + 1;
             ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
         })?;
+        for entry in &launch.process {
+            if let (Some(name), None) = (&entry.service, entry.find_service()) {
+                let known = entry.role.own_services().join(", ");
+                let problem =
+                    format!("{name} cannot be the {}; there are {known}", entry.role.name());
+                return Err(ConfigError::new(origin, "process.service", problem));
+            }
+        }
         for role in Role::ALL {
             let times = launch.process.iter().filter(|entry| entry.role == role).count();
             if times != 1 {
@@ -104,6 +131,15 @@ impl Launch {
             }
         }
         Ok(launch)
+    }
+
+    /// Puts another service of ours in a role, where no command fills it and no service is named.
+    pub fn prefer_service(&mut self, role: Role, service: &str) {
+        for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
+            if entry.command.is_none() && entry.service.is_none() {
+                entry.service = Some(service.to_owned());
+            }
+        }
     }
 
     /// Puts a command in a role, from `ROLE=COMMAND`.
@@ -124,6 +160,7 @@ impl Launch {
         }
         for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
             entry.command = Some(command.to_owned());
+            entry.service = None;
             entry.deterministic = None;
         }
         Ok(())

@@ -114,6 +114,15 @@ impl Layers {
         self.replace(key, value.into(), origin.to_owned())
     }
 
+    /// Takes the vehicle from a preset or a file, on behalf of a command line option named `origin`.
+    ///
+    /// # Errors
+    /// If it is neither, or the file holds what a vehicle has not.
+    pub fn set_vehicle(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
+        self.load_vehicle(name, origin)?;
+        self.put(origin, "vehicle_preset", name)
+    }
+
     /// Parses the stack into a valid configuration.
     ///
     /// # Errors

@@ -13,12 +13,15 @@ pub mod launch;
 mod layers;
 mod presets;
 mod schema;
+mod sweep;
 mod validate;
 
 pub use error::ConfigError;
 pub use layers::Layers;
 pub use presets::{Preset, maneuver_names, nearest, presets};
 pub use schema::*;
+pub use sweep::{SweepKind, SweepPlan};
+pub use validate::check_gains;
 
 /// The largest fleet that one message carries.
 pub const MAX_FLEET: usize = validate::MAX_FLEET as usize;

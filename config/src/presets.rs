@@ -21,6 +21,7 @@ pub fn presets() -> &'static [Preset] {
         "readings.toml",
         "maneuvers/lane_change.toml",
         "maneuvers/roundabout.toml",
+        "maneuvers/circuit.toml",
         "vehicles/tesla_model_3.toml",
         "launch/train.toml",
     )

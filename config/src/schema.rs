@@ -13,8 +13,8 @@ pub struct RunConfig {
     pub maneuver: String,
     /// Name or file of the vehicle preset.
     pub vehicle_preset: String,
-    /// The set that the paper chose for this manoeuvre.
-    pub paper_gains: Gains,
+    /// The rows of the paper's table for this manoeuvre; empty for a path that the paper does not have.
+    pub paper: Vec<PaperSet>,
     /// The path to be driven.
     pub path: PathConfig,
     /// How the reference pose advances.
@@ -27,12 +27,14 @@ pub struct RunConfig {
     pub supervisor: Supervisor,
     /// Noise of the odometry.
     pub noise: Noise,
-    /// Lane edges, and what touching them costs.
+    /// The road's edges, and what leaving it costs.
     pub collision: Collision,
     /// The gain sets that can be chosen.
     pub grid: Grid,
     /// The learners.
     pub learning: Learning,
+    /// How gains are chosen under noise.
+    pub robust: Robust,
     /// What differs from run to run.
     pub run: Run,
     /// The vehicle.
@@ -55,6 +57,39 @@ impl RunConfig {
     /// Ticks of a full drive.
     pub fn ticks(&self) -> u64 {
         (self.drive.loop_time_s / self.drive.tick_s).round() as u64
+    }
+
+    /// The set that the paper chose for this manoeuvre, where it chose a single one.
+    pub fn paper_gains(&self) -> Option<Gains> {
+        match self.paper.iter().find(|set| set.chosen)?.gains[..] {
+            [gains] => Some(gains),
+            _ => None,
+        }
+    }
+
+    /// Names of the manoeuvres that the path asks for, each once, in the order in which they come first.
+    pub fn maneuvers_due(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for zone in &self.path.zones {
+            if !names.contains(&zone.name.as_str()) {
+                names.push(&zone.name);
+            }
+        }
+        names
+    }
+
+    /// The gains of each zone, from one gain set for each of [`RunConfig::maneuvers_due`], or one for all.
+    ///
+    /// # Panics
+    /// If there is neither one set nor one for each manoeuvre.
+    pub fn gains_by_zone(&self, sets: &[Gains]) -> Vec<Gains> {
+        let due = self.maneuvers_due();
+        assert!(sets.len() == 1 || sets.len() == due.len(), "a set for each manoeuvre");
+        let set_of = |zone: &ZoneConfig| {
+            let place = due.iter().position(|name| *name == zone.name).expect("made of the zones");
+            sets[place % sets.len()]
+        };
+        self.path.zones.iter().map(set_of).collect()
     }
 
     /// Vehicles of the fleet: `run.fleet`, or one a learner.
@@ -93,6 +128,21 @@ impl Gains {
 
     /// Names of the gains in the paper's order.
     pub const NAMES: [&'static str; 4] = ["kv", "kl", "ks", "ki"];
+}
+
+/// One row of the paper's tables: gains, and what the paper read with them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PaperSet {
+    /// One gain set for each manoeuvre of the path, in the order in which they come.
+    pub gains: Vec<Gains>,
+    /// Its mse without noise.
+    pub mse_m2: f64,
+    /// Its worst mse of ten drives with noise.
+    pub noisy_mse_m2: f64,
+    /// Whether it is the set that the paper chose.
+    #[serde(default)]
+    pub chosen: bool,
 }
 
 /// A pose in the map frame (REP-103: x forward, y left, yaw counter-clockwise).
@@ -232,13 +282,14 @@ pub struct Noise {
     pub heading_half_width_rad: f64,
 }
 
-/// Lane edges, and what touching them costs.
+/// The road's edges, and what leaving it costs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
 pub struct Collision {
     pub enabled: bool,
     pub lane_half_width_m: f64,
+    pub margin_m: f64,
     pub penalty: f64,
 }
 
@@ -474,6 +525,17 @@ pub struct Learning {
     pub pick: Pick,
     pub first_gains: FirstGains,
     pub greedy_ties: GreedyTies,
+}
+
+/// How gains are chosen under noise.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Robust {
+    pub engage_gear: bool,
+    pub finalists: u32,
+    pub repeats: u32,
+    pub holdout: u32,
 }
 
 /// What differs from run to run.

@@ -32,15 +32,50 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     within("noise.position_sd_m", c.noise.position_sd_m, 0.0, 10.0)?;
     within("noise.heading_half_width_rad", c.noise.heading_half_width_rad, 0.0, 1.0)?;
     above("collision.lane_half_width_m", c.collision.lane_half_width_m, 0.0, 100.0)?;
+    within("collision.margin_m", c.collision.margin_m, 0.0, 100.0)?;
     within("collision.penalty", c.collision.penalty, 0.0, 100.0)?;
-    for (name, gain) in crate::Gains::NAMES.iter().zip(c.paper_gains.to_array()) {
-        within(&format!("paper_gains.{name}"), gain, 0.0, 1e6)?;
-    }
+    paper(c)?;
+    whole("robust.finalists", c.robust.finalists.into(), 1, 1000)?;
+    whole("robust.repeats", c.robust.repeats.into(), 2, 1000)?;
+    whole("robust.holdout", c.robust.holdout.into(), 1, 10_000)?;
     path(c)?;
     grid(c)?;
     learning(c)?;
     run(c)?;
     vehicle(c)
+}
+
+fn paper(config: &RunConfig) -> Result<(), Problem> {
+    let due = config.maneuvers_due().len();
+    for (row, set) in config.paper.iter().enumerate() {
+        let key = format!("paper[{row}].gains");
+        if set.gains.len() != due {
+            let problem = format!(
+                "holds {} gain sets, and the zones of the path ask for {due}",
+                set.gains.len()
+            );
+            return Err((key, problem));
+        }
+        for (index, gains) in set.gains.iter().enumerate() {
+            crate::check_gains(*gains)
+                .map_err(|(name, problem)| (format!("{key}[{index}].{name}"), problem))?;
+        }
+        above(&format!("paper[{row}].mse_m2"), set.mse_m2, 0.0, 1e9)?;
+        above(&format!("paper[{row}].noisy_mse_m2"), set.noisy_mse_m2, 0.0, 1e9)?;
+    }
+    Ok(())
+}
+
+/// Whether these are gains that can be driven; else the name of the first that is not, and why.
+///
+/// # Errors
+/// If a gain is not finite, negative or enormous, or Ki lies above 1, where the law's filter is unstable.
+pub fn check_gains(gains: crate::Gains) -> Result<(), (&'static str, String)> {
+    for (name, gain) in crate::Gains::NAMES.into_iter().zip(gains.to_array()) {
+        let most = if name == "ki" { 1.0 } else { 1e6 };
+        within(name, gain, 0.0, most).map_err(|(_, problem)| (name, problem))?;
+    }
+    Ok(())
 }
 
 fn path(config: &RunConfig) -> Result<(), Problem> {

@@ -191,8 +191,38 @@ message!(
 );
 
 message!(
+    /// The gains of a zone: the gain schedule's answer to a [`Zone`]. Sent by whoever fills the trainer's role.
+    #[name = "pathtune.GainSwitch#99d19014"]
+    pub struct GainSwitch {
+        /// The gains.
+        pub gains: Gains,
+        /// The first tick for which they hold.
+        pub from_tick: u64,
+        /// The slot of the fleet.
+        pub slot: u32,
+        /// The zone that they belong to.
+        pub zone: u32,
+    }
+);
+
+message!(
+    /// How far a recorder has got. Sent by the recorder; a vehicle in lockstep does not run ahead of it.
+    #[name = "pathtune.Credit#2dd55834"]
+    pub struct Credit {
+        /// Ticks that the recorder has taken over.
+        pub ticks: u64,
+    }
+);
+
+impl Credit {
+    /// A vehicle in lockstep publishes tick k of a recorded batch only when `ticks + AHEAD > k`. Half of an
+    /// observer's buffer: nothing is lost, and nobody waits while the recorder keeps up.
+    pub const AHEAD: u64 = crate::topics::OBSERVER_BUFFER as u64 / 2;
+}
+
+message!(
     /// A drive that a learner asks for. Sent by the trainer, all that are wanted in one message.
-    #[name = "pathtune.Proposal#cfceef29"]
+    #[name = "pathtune.Proposal#4aabe2a0"]
     pub struct Proposal {
         /// The gains.
         pub gains: Gains,
@@ -204,6 +234,10 @@ message!(
         pub learner: u32,
         /// Its step.
         pub step: u32,
+        /// The bits of [`DriveRequest::flags`].
+        pub flags: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
     }
 );
 
@@ -218,7 +252,7 @@ message!(
     pub struct DriveRequest {
         /// Where the tracked point is to stand, at rest.
         pub start: WirePose,
-        /// The gains.
+        /// The gains; those of the first zone, where `flags` has [`DriveRequest::SCHEDULED`].
         pub gains: Gains,
         /// Seed of the noise, where `flags` has [`DriveRequest::NOISE`].
         pub seed: u64,
@@ -238,6 +272,10 @@ message!(
 impl DriveRequest {
     /// The measured pose is to carry noise.
     pub const NOISE: u32 = 1;
+    /// The gains change with the zone: the controller awaits a [`GainSwitch`] behind each [`Zone`].
+    pub const SCHEDULED: u32 = 2;
+    /// The batch is recorded without a gap: a vehicle in lockstep waits for the recorder's [`Credit`].
+    pub const RECORDED: u32 = 4;
 }
 
 message!(
@@ -313,12 +351,19 @@ message!(
         pub best_distance: f64,
         /// Drives asked for.
         pub asked: u64,
-        /// The current episode, counted from 0.
+        /// The current episode, counted from 0; what is done of something else, as the header's flags say.
         pub episode: u32,
-        /// Episodes of the training.
+        /// Episodes of the training; all of that.
         pub episodes: u32,
     }
 );
+
+impl LearnerProgress {
+    /// In [`BatchHeader::flags`]: no learners, but the drives of a list.
+    pub const DRIVES: u32 = 1;
+    /// In [`BatchHeader::flags`]: no learners, but the sets of a ranking.
+    pub const RANKING: u32 = 2;
+}
 
 message!(
     /// A sign of life. Sent by every process, when it becomes ready and then at least every 100 ms.

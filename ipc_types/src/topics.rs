@@ -3,8 +3,8 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
-    BatchHeader, Command, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Odometry,
-    Proposal, RawCommand, Status, TickHeader, TrackingError, Zone,
+    BatchHeader, Command, Credit, DriveOutcome, DriveReport, DriveRequest, GainSwitch,
+    LearnerProgress, Odometry, Proposal, RawCommand, Status, TickHeader, TrackingError, Zone,
 };
 
 /// Who can be woken by a message.
@@ -107,8 +107,12 @@ topics! {
     // Between ticks. The last one is kept for late joiners.
     DriveRequest, BatchHeader, "drive_request", wakes &[Vehicle, Controller, Supervisor],
         history 1, buffer 2, publishers 1;
-    Zone, BatchHeader, "zone", wakes &[],
+    Zone, BatchHeader, "zone", wakes &[Trainer],
         history 1, buffer 16, publishers 1;
+    GainSwitch, BatchHeader, "gains", wakes &[Controller],
+        history 1, buffer 16, publishers 1;
+    Credit, BatchHeader, "credit", wakes &[Vehicle],
+        history 1, buffer 2, publishers 1;
     DriveReport, BatchHeader, "drive_report", wakes &[Orchestrator],
         history 1, buffer 2, publishers 1;
     DriveOutcome, BatchHeader, "drive_outcome", wakes &[Trainer],

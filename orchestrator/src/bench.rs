@@ -152,6 +152,7 @@ fn pipeline_ns(fleet: usize) -> Result<f64, Failure> {
     let plan = Plan {
         config: layers.resolve()?,
         launch: Launch::train(),
+        sweep: None,
         folder: folder.clone(),
         budget: Budget::default(),
         chaos: None,

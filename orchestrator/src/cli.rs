@@ -18,6 +18,15 @@ pub struct Cli {
 pub enum Command {
     /// Train a manoeuvre to its end, and say how good the gains are
     Train(Box<TrainArgs>),
+    /// Drive gain sets without noise and with it, beside the paper's figures
+    Validate(Box<ValidateArgs>),
+    /// Drive every gain set of the grid: the best, how flat the optimum is, which gain matters
+    Grid(Box<GridArgs>),
+    /// Draw a run: one HTML page, and its pictures as SVG files
+    Report {
+        /// The run's folder
+        run: PathBuf,
+    },
     /// Measure what a tick costs, beside a bare ring of the same bytes
     Bench(BenchArgs),
     /// List the living runs
@@ -72,10 +81,10 @@ pub enum Command {
   pathtune train lane_change
   pathtune train roundabout --seed 7 --alphas 0.1,0.5 --out runs/mine
   pathtune train lane_change --set learning.gamma=0.8 --json
+  pathtune train --path slalom.csv --noise
   pathtune train lane_change --replace vehicle='python3 my_vehicle.py'")]
 pub struct TrainArgs {
-    /// The manoeuvre: lane_change or roundabout
-    #[arg(required_unless_present = "resume")]
+    /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
     /// Go on with a training that was stopped or killed, to the same result
     #[arg(
@@ -83,7 +92,7 @@ pub struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "tuner", "out",
-            "config", "set", "launch", "replace",
+            "config", "set", "launch", "replace", "path", "vehicle",
         ]
     )]
     pub resume: Option<PathBuf>,
@@ -93,9 +102,6 @@ pub struct TrainArgs {
     /// Every random choice derives from it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     pub seed: Option<u64>,
-    /// Vehicles that drive in the same tick; changes no result [default: one a learner]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=256))]
-    pub fleet: Option<u32>,
     /// Episodes of each learner [default: the manoeuvre's]
     #[arg(long, value_name = "N")]
     pub episodes: Option<u32>,
@@ -108,6 +114,61 @@ pub struct TrainArgs {
     /// Who tunes [default: educated-q]
     #[arg(long, value_enum)]
     pub tuner: Option<TunerArg>,
+    /// What every run can be told.
+    #[command(flatten)]
+    pub setup: SetupArgs,
+}
+
+/// Options of `validate`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune validate lane_change
+  pathtune validate circuit --json
+  pathtune validate lane_change --gains 3,21,21,0.7 --gains 1.26,11,21,0.84 --repeats 100
+  pathtune validate circuit --gains 3,21,21,0.7/3.4,21,1,0.84
+  pathtune validate --path slalom.csv --gains 3,21,21,0.7")]
+pub struct ValidateArgs {
+    /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
+    pub maneuver: Option<String>,
+    /// Gains instead of the paper's; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84; repeatable
+    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    pub gains: Vec<String>,
+    /// Noisy drives of each set, with the noise seeds 1, 2, …
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub repeats: u32,
+    /// What every run can be told.
+    #[command(flatten)]
+    pub setup: SetupArgs,
+}
+
+/// Options of `grid`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune grid lane_change
+  pathtune grid roundabout --gains 3.4,21,1,0.84 --json")]
+pub struct GridArgs {
+    /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
+    pub maneuver: Option<String>,
+    /// Gains to be ranked among those of the grid; repeatable
+    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    pub gains: Vec<String>,
+    /// What every run can be told.
+    #[command(flatten)]
+    pub setup: SetupArgs,
+}
+
+/// Options of every command that runs a pipeline.
+#[derive(Debug, Args)]
+pub struct SetupArgs {
+    /// A path of your own: CSV with x_m,y_m[,v_mps], or a raceline with ';'; a TOML file beside it may hold zones
+    #[arg(long, value_name = "FILE")]
+    pub path: Option<PathBuf>,
+    /// A vehicle: a preset, or a file on top of the default one
+    #[arg(long, value_name = "NAME|FILE")]
+    pub vehicle: Option<String>,
+    /// Vehicles that drive in the same tick; changes no result [default: one a learner, or as many as there is to drive]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=256))]
+    pub fleet: Option<u32>,
     /// Folder for configuration, journal, logs and result [default: runs/MANEUVER-TIME]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -184,6 +245,7 @@ pub enum ServiceCommand {
     Controller,
     Supervisor,
     Trainer,
+    Schedule,
     /// One process of the bare ring
     Ring {
         hop: HopArg,

@@ -11,7 +11,7 @@ use crate::Failure;
 use crate::housekeeping::ProcessState;
 use crate::pipeline::Plan;
 use crate::process::{Process, describe, last_lines};
-use crate::report::ProcessFacts;
+use crate::result::ProcessFacts;
 use crate::restart::{Budget, RestartPolicy};
 
 /// A process must be ready this soon after its start: it opens a dozen files.
@@ -57,7 +57,7 @@ impl Member {
     pub(crate) fn new(entry: &ProcessEntry, plan: &Plan) -> Self {
         let name = match entry.command {
             Some(_) => entry.role.name(),
-            None => entry.role.own_service(),
+            None => entry.own_service(),
         };
         Self {
             entry: entry.clone(),

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use config::RunConfig;
+use config::{RunConfig, SweepPlan};
 use config::launch::{Launch, Role};
 use ipc_types::{
     BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Status,
@@ -27,7 +27,7 @@ use crate::member::{Member, State};
 use crate::process::clean_up_behind;
 use crate::progress::Progress;
 use crate::recovery::{RandomKills, Recoveries};
-use crate::report::RunFacts;
+use crate::result::RunFacts;
 use crate::restart::{Budget, Decision};
 use crate::sequencer::Sequencer;
 
@@ -44,6 +44,8 @@ const REAP_EVERY_NS: u64 = 1_000_000;
 pub(crate) struct Plan {
     pub(crate) config: RunConfig,
     pub(crate) launch: Launch,
+    /// What is driven instead of a training.
+    pub(crate) sweep: Option<SweepPlan>,
     pub(crate) folder: PathBuf,
     pub(crate) budget: Budget,
     /// Faults on purpose: the script with its seed.
@@ -129,6 +131,9 @@ impl<'a> Pipeline<'a> {
                 RandomKills::new(script.random_per_s, *seed)
             }
         };
+        // Each drive of a list goes by a number of its own.
+        let learners =
+            if plan.sweep.is_some() { u32::MAX } else { config.run.alphas.len() as u32 };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
         let members = plan.launch.process.iter().map(|entry| Member::new(entry, plan)).collect();
@@ -151,7 +156,7 @@ impl<'a> Pipeline<'a> {
             outcomes: bus.outlet()?,
             bus,
             members,
-            sequencer: Sequencer::new(names.run, start, config.noise.enabled, config.fleet()),
+            sequencer: Sequencer::new(names.run, start, config.fleet(), learners),
             progress,
             interrupted: plan.interrupted.clone(),
             batch_is_broken: false,
@@ -244,7 +249,8 @@ impl<'a> Pipeline<'a> {
     /// What the trainer wants, and where it stands.
     fn hear_trainer(&mut self) -> Result<bool, Failure> {
         if let Some(progress) = self.learner_progress.receive_newest()? {
-            self.progress.show(progress.items(), self.sequencer.counts());
+            let flags = progress.header().flags;
+            self.progress.show(flags, progress.items(), self.sequencer.counts());
         }
         let mut heard = false;
         while let Some(message) = self.proposals.receive()? {

@@ -79,7 +79,7 @@ pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
 
 /// Removes an output folder in which nothing has happened yet.
 pub(crate) fn unmake_folder(folder: &Path) {
-    for name in ["config.toml", "launch.toml", "lock", "logs/orchestrator.log"] {
+    for name in ["config.toml", "launch.toml", "sweep.toml", "lock", "logs/orchestrator.log"] {
         let _ = fs::remove_file(folder.join(name));
     }
     let _ = fs::remove_dir(folder.join("logs"));

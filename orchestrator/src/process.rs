@@ -33,7 +33,7 @@ impl Process {
         command.arg0("pathtune");
         match &entry.command {
             None => {
-                command.args(["service", entry.role.own_service()]);
+                command.args(["service", entry.own_service()]);
             }
             Some(words) => {
                 // Ties itself to us and moves to the core, then becomes the user's program.

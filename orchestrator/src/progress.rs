@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use ipc_types::LearnerProgress;
+use ipc_types::{LearnerProgress, has};
 
 use crate::sequencer::Counts;
 use crate::terminal::tell;
@@ -48,7 +48,7 @@ impl Progress {
     }
 
     /// Shows where the training stands, not too often.
-    pub(crate) fn show(&mut self, learners: &[LearnerProgress], counts: Counts) {
+    pub(crate) fn show(&mut self, flags: u32, learners: &[LearnerProgress], counts: Counts) {
         let every = if self.bar.is_hidden() { LINE } else { REDRAW };
         if self.quiet || learners.is_empty() || self.shown.elapsed() < every {
             return;
@@ -56,7 +56,13 @@ impl Progress {
         self.shown = Instant::now();
         let done: u64 = learners.iter().map(|learner| u64::from(learner.episode)).sum();
         let all: u64 = learners.iter().map(|learner| u64::from(learner.episodes)).sum();
-        let message = self.message(learners, counts);
+        let message = if has(flags, LearnerProgress::RANKING) {
+            format!("ranking the choice among all sets: {:.0} %", 100.0 * done as f64 / all as f64)
+        } else if has(flags, LearnerProgress::DRIVES) {
+            format!("drive {done}/{all}  {}", self.speed(counts))
+        } else {
+            self.message(learners, counts)
+        };
         self.bar.set_length(all);
         self.bar.set_position(done);
         self.bar.set_message(message.clone());
@@ -71,12 +77,18 @@ impl Progress {
         let epsilon = learners.iter().map(|learner| learner.epsilon).fold(0.0, f64::max);
         let best =
             learners.iter().map(|learner| learner.best_distance).fold(f64::INFINITY, f64::min);
-        let seconds = self.started.elapsed().as_secs_f64();
         let episode = (slowest + 1).min(episodes);
         format!(
-            "episode {episode}/{episodes}  epsilon {epsilon:.2}  best distance {best:.4}  \
-             {:.0} drives/s  {:.0} x real time",
-            counts.driven as f64 / seconds,
+            "episode {episode}/{episodes}  epsilon {epsilon:.2}  best distance {best:.4}  {}",
+            self.speed(counts),
+        )
+    }
+
+    fn speed(&self, counts: Counts) -> String {
+        let seconds = self.started.elapsed().as_secs_f64();
+        format!(
+            "{:.0} drives/s  {:.0} x real time",
+            (counts.driven + counts.beside) as f64 / seconds,
             counts.ticks as f64 * self.tick_s / seconds,
         )
     }

@@ -14,8 +14,9 @@ use ipc_types::{BatchHeader, DriveOutcome, DriveReport, DriveRequest, Proposal, 
 pub struct Sequencer {
     run: u64,
     start: WirePose,
-    noise: bool,
     fleet: usize,
+    /// Drives of these learners are counted; others are made beside them.
+    learners: u32,
     batch: u64,
     attempt: u32,
     proposals: Vec<Proposal>,
@@ -28,8 +29,10 @@ pub struct Sequencer {
 /// What was driven.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Drives that were reported.
+    /// Drives of learners, or of a list, that were reported.
     pub driven: u64,
+    /// Drives beside a training: of finalists, and of the tuned gains for the figures.
+    pub beside: u64,
     /// Drives that were asked for again behind a crash.
     pub reissued: u64,
     /// Ticks of all reported drives.
@@ -39,13 +42,13 @@ pub struct Counts {
 }
 
 impl Sequencer {
-    /// A sequencer before the first batch, for a fleet of so many vehicles.
-    pub fn new(run: u64, start: WirePose, noise: bool, fleet: usize) -> Self {
+    /// A sequencer before the first batch, for a fleet of so many vehicles and so many learners.
+    pub fn new(run: u64, start: WirePose, fleet: usize, learners: u32) -> Self {
         Self {
             run,
             start,
-            noise,
             fleet,
+            learners,
             batch: 0,
             attempt: 0,
             proposals: Vec::new(),
@@ -89,7 +92,6 @@ impl Sequencer {
         }
         self.batch += 1;
         self.attempt = 1;
-        let flags = if self.noise { DriveRequest::NOISE } else { 0 };
         self.driving = self
             .proposals
             .drain(..self.fleet.min(self.proposals.len()))
@@ -100,7 +102,7 @@ impl Sequencer {
                 ticks: proposal.ticks,
                 learner: proposal.learner,
                 step: proposal.step,
-                flags,
+                flags: proposal.flags,
                 reserved: 0,
             })
             .collect();
@@ -148,7 +150,11 @@ impl Sequencer {
             })
             .collect();
         for outcome in &outcomes {
-            self.counts.driven += 1;
+            if outcome.report.learner < self.learners {
+                self.counts.driven += 1;
+            } else {
+                self.counts.beside += 1;
+            }
             self.counts.ticks += outcome.report.ticks;
             self.outcomes.insert(outcome.report.learner, *outcome);
         }
@@ -191,7 +197,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn sequencer(fleet: usize) -> Sequencer {
-        Sequencer::new(9, WirePose::default(), false, fleet)
+        Sequencer::new(9, WirePose::default(), fleet, u32::MAX)
     }
 
     fn proposal(learner: u32, step: u32) -> Proposal {

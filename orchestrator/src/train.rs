@@ -3,74 +3,55 @@
 use std::fs::{self, File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::time::Duration;
 
 use anyhow::Context;
 use config::launch::Launch;
-use config::{Layers, RunConfig};
-use runtime::chaos::Script;
-use runtime::run::{LOCK_FILE, RunNames, sweep_dead_runs};
+use config::{RunConfig, SweepPlan};
+use runtime::run::{LOCK_FILE, RunNames};
 
 use crate::cli::{TrainArgs, TunerArg};
 use crate::pipeline::{Interrupts, Pipeline, Plan, log_of_orchestrator};
 use crate::progress::Progress;
-use crate::report::{RunFacts, print_table, write_result};
-use crate::restart::Budget;
+use crate::result::{RunFacts, write_result};
+use crate::setup::{self, Folder, Ready};
 use crate::terminal::say;
-use crate::{Failure, preflight};
+use crate::{Failure, preflight, tables};
 
-/// Trains a manoeuvre to its end, or goes on with a training that was interrupted.
+/// Trains a manoeuvre to its end, or goes on with a training that was interrupted. Returns its folder.
 ///
 /// # Errors
 /// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
-pub fn train(args: &TrainArgs) -> Result<(), Failure> {
+pub fn train(args: &TrainArgs) -> Result<PathBuf, Failure> {
     // First of all: from here on a signal ends in order.
     let interrupted = Interrupts::new()?;
-    if let Some(script) = &args.chaos {
-        Script::parse(script).map_err(|why| Failure::User(format!("--chaos: {why}")))?;
-    }
     let (config, launch) = match &args.resume {
         Some(folder) => resolved_before(folder)?,
         None => {
-            let launch = resolve_launch(args)?;
+            let launch = setup::launch(&args.setup, None)?;
             (resolve_config(args, &launch)?, launch)
         }
     };
-    preflight::check_commands(&launch)?;
-    sweep_dead_runs();
-    preflight::check_shared_memory(config.fleet().max(config.run.alphas.len()))?;
-    let folder = match &args.resume {
-        Some(folder) => fs::canonicalize(folder)?,
-        None => preflight::make_folder(&folder_of(args, &config))?,
-    };
-    // Held until the end: as long as it is, nobody else trains in this folder.
-    let _lock = preflight::lock_folder(&folder)?;
-    let plan = Plan {
-        config,
-        launch,
-        folder,
-        budget: Budget { restarts: args.restart_budget, within: Duration::from_secs(10) },
-        chaos: args.chaos.clone().map(|script| (script, args.chaos_seed)),
-        quiet: args.quiet || args.json,
-        interrupted,
-    };
-
-    let facts = match run(&plan) {
-        Ok(facts) => facts,
-        Err(failure) => {
-            if matches!(failure, Failure::User(_)) && args.resume.is_none() {
-                preflight::unmake_folder(&plan.folder);
-            }
-            return Err(failure);
-        }
-    };
-    let result = write_result(&plan.folder, &plan.config, &facts)?;
-    if args.json {
+    let name = config.maneuver.clone();
+    let folder = args.resume.as_deref().map_or(Folder::New(&name), Folder::Old);
+    let ready = setup::prepare(&args.setup, config, launch, None, folder, interrupted)?;
+    let facts = run_or_unmake(&ready, args.resume.is_none())?;
+    let plan = &ready.plan;
+    let result = write_result(&plan.folder, "train", &plan.config, &facts)?;
+    if args.setup.json {
         say!("{}", serde_json::to_string_pretty(&result).context("result.json")?);
     } else {
-        print_table(&plan.config, &result, &plan.folder)?;
+        tables::print_training(&plan.config, &result)?;
     }
-    Ok(())
+    Ok(plan.folder.clone())
+}
+
+/// Runs a plan. If that fails by the user's mistake, a folder that is `new` is removed again.
+pub(crate) fn run_or_unmake(ready: &Ready, new: bool) -> Result<RunFacts, Failure> {
+    run(&ready.plan).inspect_err(|failure| {
+        if new && matches!(failure, Failure::User(_)) {
+            preflight::unmake_folder(&ready.plan.folder);
+        }
+    })
 }
 
 /// The configuration and processes of a training that was interrupted.
@@ -84,6 +65,10 @@ fn resolved_before(folder: &Path) -> Result<(RunConfig, Launch), Failure> {
             ))
         })
     };
+    if folder.join(SweepPlan::FILE).exists() {
+        let problem = "not a training; validations and grids are driven anew";
+        return Err(Failure::User(format!("--resume {}: {problem}", folder.display())));
+    }
     let config = RunConfig::from_resolved(&read("config.toml")?)?;
     let launch = Launch::parse("launch.toml", &read("launch.toml")?)?;
     Ok((config, launch))
@@ -102,6 +87,10 @@ pub(crate) fn run(plan: &Plan) -> Result<RunFacts, Failure> {
     write(&folder.join("config.toml"), &text)?;
     let text = toml::to_string(&plan.launch).context("the launch file")?;
     write(&folder.join("launch.toml"), &text)?;
+    if let Some(sweep) = &plan.sweep {
+        let text = toml::to_string(sweep).context("the list of drives")?;
+        write(&folder.join(SweepPlan::FILE), &text)?;
+    }
     log_to(&log_of_orchestrator(folder))?;
 
     let span = tracing::info_span!("run", run = format!("{:016x}", names.0.run));
@@ -139,32 +128,15 @@ fn log_to(path: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-fn resolve_launch(args: &TrainArgs) -> Result<Launch, Failure> {
-    let mut launch = match &args.launch {
-        None => Launch::train(),
-        Some(file) => Launch::parse(&file.display().to_string(), &read(file, "--launch")?)?,
-    };
-    for replacement in &args.replace {
-        launch.replace(replacement)?;
-    }
-    Ok(launch)
-}
-
 fn resolve_config(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failure> {
-    let mut layers = Layers::maneuver(args.maneuver.as_deref().unwrap_or_default())?;
-    if let Some(file) = &args.config {
-        layers.add_document(&file.display().to_string(), &read(file, "--config")?)?;
-    }
-    for assignment in &args.set {
-        layers.set(assignment)?;
-    }
+    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup)?;
     if let Some(alphas) = &args.alphas {
         layers.put("--alphas", "run.alphas", alphas.clone())?;
     }
     if let Some(seed) = args.seed {
         layers.put("--seed", "run.seed", seed as i64)?;
     }
-    if let Some(fleet) = args.fleet {
+    if let Some(fleet) = args.setup.fleet {
         layers.put("--fleet", "run.fleet", i64::from(fleet))?;
     }
     if let Some(episodes) = args.episodes {
@@ -185,26 +157,9 @@ fn resolve_config(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failur
         };
         layers.put("--tuner", "learning.tuner", name)?;
     }
-    Ok(layers.resolve()?)
-}
-
-fn read(file: &Path, option: &str) -> Result<String, Failure> {
-    fs::read_to_string(file)
-        .map_err(|error| Failure::User(format!("{option} {}: {error}", file.display())))
-}
-
-/// The output folder that was named, or one named after manoeuvre and time.
-fn folder_of(args: &TrainArgs, config: &RunConfig) -> PathBuf {
-    if let Some(folder) = &args.out {
-        return folder.clone();
+    let mut config = layers.resolve()?;
+    if config.noise.enabled && config.robust.engage_gear {
+        config.vehicle.gear_engaged = true;
     }
-    let time = jiff::Zoned::now().strftime("%Y%m%d-%H%M%S").to_string();
-    let name = format!("runs/{}-{time}", config.maneuver);
-    // Two runs may start in the same second.
-    let numbered = (2..).map(|number| format!("{name}-{number}"));
-    std::iter::once(name.clone())
-        .chain(numbered)
-        .map(PathBuf::from)
-        .find(|folder| !folder.exists())
-        .expect("some number is free")
+    Ok(config)
 }

@@ -64,7 +64,7 @@ impl DriveController {
             metrics: MetricsRecorder::default(),
             goal_radius_m: config.drive.goal_radius_m,
             ticks: config.ticks(),
-            gains: config.paper_gains,
+            gains: Gains::default(),
             trace: Trace::default(),
         }
     }

@@ -3,8 +3,8 @@
 use anyhow::Result;
 use config::{Gains, MAX_FLEET, RunConfig};
 use ipc_types::{
-    BatchHeader, Command, DriveReport, DriveRequest, Odometry, RawCommand, TickHeader,
-    TrackingError, WakeRole, WirePose, has,
+    BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, Odometry, RawCommand, TickHeader,
+    TrackingError, WakeRole, WirePose, Zone, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
@@ -26,6 +26,8 @@ pub fn run() -> Result<()> {
 struct Controller {
     requests: Inlet<DriveRequest>,
     odometry: Inlet<Odometry>,
+    zones: Inlet<Zone>,
+    gains: Inlet<GainSwitch>,
     raw_commands: Outlet<RawCommand>,
     errors: Outlet<TrackingError>,
     reports: Outlet<DriveReport>,
@@ -33,8 +35,11 @@ struct Controller {
     /// A drive at its first tick, to be copied into new slots.
     fresh: DriveController,
     slots: Vec<Slot>,
-    /// Odometry of a batch whose request has not come yet: the two travel on different topics.
-    early: Option<Received<Odometry>>,
+    /// Odometry that something else must come before: the request of its batch, or a zone's gains. They
+    /// travel on different topics.
+    held: Option<Received<Odometry>>,
+    /// Whether gains change with the zone in the batch under way.
+    scheduled: bool,
     /// The batch that is driven, with the tick that comes next; none between batches.
     driving: Option<(BatchHeader, u64)>,
     /// The last batch and attempt that was asked for.
@@ -50,6 +55,8 @@ struct Slot {
     has_truth: bool,
     decision: Decision,
     report: Option<DriveReport>,
+    /// The zone whose gains the next tick must have.
+    awaited: Option<u32>,
 }
 
 impl Controller {
@@ -57,13 +64,16 @@ impl Controller {
         Ok(Self {
             requests: bus.inlet()?,
             odometry: bus.inlet()?,
+            zones: bus.inlet()?,
+            gains: bus.inlet()?,
             raw_commands: bus.outlet()?,
             errors: bus.outlet()?,
             reports: bus.outlet()?,
             run,
             fresh: DriveController::new(&config),
             slots: Vec::new(),
-            early: None,
+            held: None,
+            scheduled: false,
             driving: None,
             last: (0, 0),
             counters: Counters::default(),
@@ -78,6 +88,7 @@ impl Controller {
         }
         self.slots.clear();
         self.slots.extend(requests.iter().map(|request| Slot::new(&self.fresh, *request)));
+        self.scheduled = requests.iter().any(|it| has(it.flags, DriveRequest::SCHEDULED));
         self.driving = Some((header, 0));
         self.last = (header.batch, header.attempt);
     }
@@ -117,6 +128,47 @@ impl Controller {
         Ok(())
     }
 
+    /// Hears zones and their gains; whether a tick must still wait for gains.
+    ///
+    /// A zone is sent before the command that the vehicle answers with its tick's odometry: by now it is here.
+    fn awaits_gains(&mut self) -> Result<bool> {
+        let Some((batch, tick)) = self.driving.filter(|_| self.scheduled) else {
+            return Ok(false);
+        };
+        let is_of_batch = |header: BatchHeader| {
+            (header.run, header.batch, header.attempt) == (batch.run, batch.batch, batch.attempt)
+        };
+        while let Some(zones) = self.zones.receive()? {
+            for zone in zones.items().iter().filter(|_| is_of_batch(zones.header())) {
+                if let Some(slot) = self.slots.get_mut(zone.slot as usize)
+                    && has(slot.request.flags, DriveRequest::SCHEDULED)
+                {
+                    slot.awaited = Some(zone.zone);
+                }
+            }
+        }
+        while let Some(switches) = self.gains.receive()? {
+            for switch in switches.items().iter().filter(|_| is_of_batch(switches.header())) {
+                let slot = self.slots.get_mut(switch.slot as usize);
+                let Some(slot) = slot.filter(|slot| slot.awaited == Some(switch.zone)) else {
+                    self.counters.dropped += 1;
+                    continue;
+                };
+                let ipc_types::Gains { kv, kl, ks, ki } = switch.gains;
+                let gains = Gains { kv, kl, ks, ki };
+                if config::check_gains(gains).is_err() {
+                    self.counters.rejected += 1;
+                    continue;
+                }
+                slot.awaited = None;
+                slot.drive.switch_gains(gains);
+                let (slot, zone) = (switch.slot, switch.zone);
+                tracing::info!(tick, slot, zone, kv, kl, ks, ki, "gains switched");
+            }
+        }
+        Ok(self.slots.iter().any(|slot| slot.awaited.is_some()))
+    }
+
     fn report(&mut self) -> Result<()> {
         let Some((header, _)) = self.driving.take() else { return Ok(()) };
         let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..header };
@@ -144,6 +196,7 @@ impl Slot {
                 ended: None,
             },
             report: None,
+            awaited: None,
         }
     }
 
@@ -227,7 +280,7 @@ impl Service for Controller {
             self.start_batch(request.header(), request.items());
             return Ok(true);
         }
-        let odometry = match (self.odometry.receive()?, self.early.take()) {
+        let odometry = match (self.odometry.receive()?, self.held.take()) {
             (Some(new), held) => {
                 // What was held belongs to nothing that anybody asked for.
                 self.counters.dropped += u64::from(held.is_some());
@@ -237,8 +290,9 @@ impl Service for Controller {
             (None, None) => return Ok(false),
         };
         let header = odometry.header();
-        if header.run == self.run && (header.batch, header.attempt) > self.last {
-            self.early = Some(odometry);
+        let is_early = header.run == self.run && (header.batch, header.attempt) > self.last;
+        if is_early || self.awaits_gains()? {
+            self.held = Some(odometry);
             return Ok(false);
         }
         self.answer(odometry.header(), odometry.items())?;

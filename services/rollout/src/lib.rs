@@ -1,4 +1,4 @@
-//! The whole loop as one pure function: vehicle, controller and gate, called in turn.
+//! The whole loop as one pure function: vehicle, controller, gate, zones and gain schedule, called in turn.
 //!
 //! It is the oracle (the pipeline must equal it bit for bit), the lower bound of the benchmarks, and the
 //! engine of the exhaustive grid. It calls the same cores as the processes do, in the order of one tick.
@@ -8,6 +8,7 @@ pub use controller::Ended;
 use controller::{Decision, DriveController, Seen};
 use simulator::{Observation, SimulatedVehicle};
 use supervisor::{Gate, Passed};
+use tracking::ZoneTracker;
 
 /// Everything that happened in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,14 +19,17 @@ pub struct TickRecord {
     pub decision: Decision,
     /// What the gate passed.
     pub passed: Passed,
+    /// The zone that holds from the next tick on.
+    pub zone: usize,
 }
 
-/// Vehicle, controller and gate of one configuration, to be driven again and again.
+/// Vehicle, controller, gate and zones of one configuration, to be driven again and again.
 #[derive(Debug, Clone)]
 pub struct Rollout {
     vehicle: SimulatedVehicle,
     controller: DriveController,
     gate: Gate,
+    zones: ZoneTracker,
     start: tracking::Pose,
     ticks: u64,
 }
@@ -37,6 +41,7 @@ impl Rollout {
             vehicle: SimulatedVehicle::new(config),
             controller: DriveController::new(config),
             gate: Gate::new(config),
+            zones: ZoneTracker::new(config),
             start: config.path.start.into(),
             ticks: config.ticks(),
         }
@@ -52,10 +57,25 @@ impl Rollout {
         &mut self,
         gains: Gains,
         noise_seed: Option<u64>,
+        each: impl FnMut(u64, &TickRecord),
+    ) -> Ended {
+        self.drive_scheduled(&[gains], noise_seed, each)
+    }
+
+    /// As [`Rollout::drive_with`], with gains for each zone of the path; a single set holds in all of them.
+    ///
+    /// # Panics
+    /// If there is neither one set nor one for each zone.
+    pub fn drive_scheduled(
+        &mut self,
+        by_zone: &[Gains],
+        noise_seed: Option<u64>,
         mut each: impl FnMut(u64, &TickRecord),
     ) -> Ended {
         self.vehicle.reset(self.start, noise_seed);
-        self.controller.reset(gains, self.ticks);
+        self.zones.reset();
+        self.controller.reset(by_zone[0], self.ticks);
+        let mut zone = 0;
         let mut tick = 0;
         loop {
             let observation = self.vehicle.observe();
@@ -69,7 +89,12 @@ impl Rollout {
             );
             let raw = decision.command;
             let passed = self.gate.pass(raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
-            each(tick, &TickRecord { observation, decision, passed });
+            let entered = self.zones.update(observation.measured, decision.reference_along_m);
+            if entered != zone && by_zone.len() > 1 {
+                self.controller.switch_gains(by_zone[entered]);
+            }
+            zone = entered;
+            each(tick, &TickRecord { observation, decision, passed, zone });
             if let Some(ended) = decision.ended {
                 return ended;
             }
@@ -84,7 +109,8 @@ impl Rollout {
 /// # Examples
 /// ```
 /// let config = config::Layers::maneuver("lane_change")?.resolve()?;
-/// let ended = rollout::rollout(&config, config.paper_gains, None);
+/// let gains = config.paper_gains().expect("the paper chose one");
+/// let ended = rollout::rollout(&config, gains, None);
 /// assert!(ended.metrics.mse_m2() < 2.0);
 /// # Ok::<(), config::ConfigError>(())
 /// ```

@@ -3,6 +3,7 @@
 //! `vehicle` is pure; [`service`] joins it to the pipeline.
 
 mod noise;
+mod road;
 pub mod service;
 mod vehicle;
 

@@ -6,7 +6,7 @@
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
-    BatchHeader, Command, DriveRequest, Odometry, TickHeader, WakeRole, WirePose, has,
+    BatchHeader, Command, Credit, DriveRequest, Odometry, TickHeader, WakeRole, WirePose, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
@@ -28,12 +28,17 @@ pub fn run() -> Result<()> {
 struct Simulator {
     requests: Inlet<DriveRequest>,
     commands: Inlet<Command>,
+    credits: Inlet<Credit>,
     odometry: Outlet<Odometry>,
     run: u64,
     config: RunConfig,
     slots: Vec<Slot>,
     /// Header of the odometry that waits for its command; none between batches.
     waiting: Option<TickHeader>,
+    /// Ticks that may be published: without end, unless the batch is recorded.
+    allowed: u64,
+    /// Header of the odometry that waits for the recorder.
+    held_back: Option<TickHeader>,
     counters: Counters,
 }
 
@@ -48,17 +53,21 @@ impl Simulator {
         Ok(Self {
             requests: bus.inlet()?,
             commands: bus.inlet()?,
+            credits: bus.inlet()?,
             odometry: bus.outlet()?,
             run,
             config,
             slots: Vec::new(),
             waiting: None,
+            allowed: u64::MAX,
+            held_back: None,
             counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
         })
     }
 
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) -> Result<()> {
         self.waiting = None;
+        self.held_back = None;
         if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
             self.counters.dropped += 1;
             return Ok(());
@@ -78,6 +87,8 @@ impl Simulator {
             slot.vehicle.reset(Pose { x_m, y_m, yaw_rad }, noise);
             slot.ended = false;
         }
+        let recorded = requests.iter().any(|it| has(it.flags, DriveRequest::RECORDED));
+        self.allowed = if recorded { Credit::AHEAD } else { u64::MAX };
         self.publish(TickHeader {
             run: self.run,
             batch: header.batch,
@@ -87,6 +98,10 @@ impl Simulator {
     }
 
     fn publish(&mut self, mut header: TickHeader) -> Result<()> {
+        if header.tick >= self.allowed {
+            self.held_back = Some(header);
+            return Ok(());
+        }
         header.odometry_sent_ns = now_ns();
         self.counters.batch = header.batch;
         self.counters.tick = header.tick;
@@ -155,6 +170,26 @@ impl Slot {
     }
 }
 
+impl Simulator {
+    /// Publishes what was held back, once the recorder has got far enough.
+    fn catch_up(&mut self, held_back: TickHeader) -> Result<bool> {
+        let Some(credit) = self.credits.receive_newest()? else { return Ok(false) };
+        let (header, Some(credit)) = (credit.header(), credit.items().first()) else {
+            return Ok(false);
+        };
+        if (header.run, header.batch, header.attempt)
+            != (self.run, held_back.batch, held_back.attempt)
+        {
+            self.counters.dropped += 1;
+            return Ok(true);
+        }
+        self.allowed = self.allowed.max(credit.ticks.saturating_add(Credit::AHEAD));
+        self.held_back = None;
+        self.publish(held_back)?;
+        Ok(true)
+    }
+}
+
 fn header_matches(a: TickHeader, b: TickHeader) -> bool {
     (a.run, a.batch, a.attempt, a.tick) == (b.run, b.batch, b.attempt, b.tick)
 }
@@ -164,6 +199,9 @@ impl Service for Simulator {
         if let Some(request) = self.requests.receive_newest()? {
             self.start_batch(request.header(), request.items())?;
             return Ok(true);
+        }
+        if let Some(held_back) = self.held_back {
+            return self.catch_up(held_back);
         }
         let Some(command) = self.commands.receive()? else { return Ok(false) };
         self.obey(command.header(), command.items())?;

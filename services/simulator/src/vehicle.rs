@@ -3,10 +3,11 @@
 //! Pure: the seed is an argument, one call of [`SimulatedVehicle::step`] is one tick. The state lives at
 //! the rear axle; what is reported is the tracked point, `tracked_point_m` ahead of it.
 
-use config::{Collision, Noise, RunConfig, Vehicle};
-use tracking::{Path, Pose};
+use config::{Noise, RunConfig, Vehicle};
+use tracking::Pose;
 
 use crate::noise::PoseNoise;
+use crate::road::Road;
 
 /// What the vehicle's sensors tell at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,7 +22,7 @@ pub struct Observation {
     pub yaw_rate_radps: f64,
     /// Angle of the road wheels, positive to the left.
     pub steering_rad: f64,
-    /// Whether the body touches a lane edge.
+    /// Whether the body has left the road.
     pub collision: bool,
 }
 
@@ -33,7 +34,7 @@ pub struct SimulatedVehicle {
     tick_s: f64,
     /// Share of a step that a pedal makes in one tick.
     pedal_share: f64,
-    lane: Option<Lane>,
+    road: Option<Road>,
     noise: Option<PoseNoise>,
     gear: GearSelector,
 
@@ -56,7 +57,7 @@ impl SimulatedVehicle {
             noise_settings: config.noise,
             tick_s,
             pedal_share: 1.0 - libm::exp(-tick_s / vehicle.pedal_lag_s),
-            lane: Lane::new(config),
+            road: Road::new(config),
             noise: None,
             gear: GearSelector::new(&vehicle, tick_s),
             rear_axle: Pose::default(),
@@ -84,8 +85,8 @@ impl SimulatedVehicle {
         self.integral = 0.0;
         self.throttle = 0.0;
         self.brake = 0.0;
-        if let Some(lane) = &mut self.lane {
-            lane.along_m = 0.0;
+        if let Some(road) = &mut self.road {
+            road.reset();
         }
     }
 
@@ -95,7 +96,7 @@ impl SimulatedVehicle {
         let truth = Pose { x_m: at.x, y_m: at.y, yaw_rad: self.rear_axle.yaw_rad };
         let measured = self.noise.as_mut().map_or(truth, |noise| noise.disturb(truth));
         let collision =
-            self.lane.as_mut().is_some_and(|lane| lane.is_left(&self.vehicle, self.rear_axle));
+            self.road.as_mut().is_some_and(|road| road.is_left(&self.vehicle, self.rear_axle));
         Observation {
             measured,
             truth,
@@ -203,52 +204,6 @@ impl GearSelector {
     }
 }
 
-/// The lane's edges, on both sides of the path.
-#[derive(Debug, Clone)]
-struct Lane {
-    path: Path,
-    half_width_m: f64,
-    along_m: f64,
-}
-
-impl Lane {
-    const WINDOW_M: f64 = 3.0;
-
-    fn new(config: &RunConfig) -> Option<Self> {
-        let Collision { enabled, lane_half_width_m, .. } = config.collision;
-        enabled.then(|| Self {
-            path: Path::new(&config.path),
-            half_width_m: lane_half_width_m,
-            along_m: 0.0,
-        })
-    }
-
-    /// Whether a corner of the body lies outside the lane.
-    fn is_left(&mut self, vehicle: &Vehicle, rear_axle: Pose) -> bool {
-        let near = self.path.project(rear_axle.x_m, rear_axle.y_m, self.along_m, Self::WINDOW_M);
-        self.along_m = near.along_m;
-        let reach_m = vehicle.body_front_m + vehicle.body_rear_m + Self::WINDOW_M;
-        let half_width_m = vehicle.body_half_width_m;
-        [
-            (vehicle.body_front_m, half_width_m),
-            (vehicle.body_front_m, -half_width_m),
-            (-vehicle.body_rear_m, half_width_m),
-            (-vehicle.body_rear_m, -half_width_m),
-        ]
-        .into_iter()
-        .any(|(ahead_m, left_m)| {
-            let corner = rear_axle.position()
-                + rear_axle.rotation() * nalgebra::Vector2::new(ahead_m, left_m);
-            let point = self.path.project(corner.x, corner.y, self.along_m, reach_m);
-            let (dx, dy) = (corner.x - point.pose.x_m, corner.y - point.pose.y_m);
-            // Beyond the path's ends there is no edge: only the sideways distance counts.
-            let at_end = point.along_m <= 0.0 || point.along_m >= self.path.length_m();
-            let apart_m = if at_end { point.offset_m.abs() } else { libm::hypot(dx, dy) };
-            apart_m > self.half_width_m
-        })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -317,17 +272,6 @@ mod tests {
         let seen = vehicle.observe();
         let radius_m = seen.speed_mps / seen.yaw_rate_radps;
         assert!((radius_m - 2.875 / 0.3f64.tan()).abs() < 1e-9);
-    }
-
-    #[test]
-    fn the_body_touches_the_edge_where_it_is_wide_enough() {
-        let straight = "path.pieces=[{kind='straight',length_m=50.0}]";
-        let mut vehicle = vehicle(&["collision.enabled=true", straight]);
-        assert!(!vehicle.observe().collision);
-        vehicle.reset(Pose { y_m: 0.82, ..Pose::default() }, None);
-        assert!(!vehicle.observe().collision);
-        vehicle.reset(Pose { y_m: 0.84, ..Pose::default() }, None);
-        assert!(vehicle.observe().collision);
     }
 
     proptest! {

@@ -33,6 +33,8 @@ struct Supervisor {
     /// A tracker at the start of the path, to be copied into new slots.
     fresh: ZoneTracker,
     slots: Vec<Slot>,
+    /// Zones that begin with the next tick.
+    entered: Vec<Zone>,
     batch: BatchHeader,
     /// A raw command of a batch whose request has not come yet: the two travel on different topics.
     early: Option<Received<RawCommand>>,
@@ -57,6 +59,7 @@ impl Supervisor {
             gate: Gate::new(config),
             fresh: ZoneTracker::new(config),
             slots: Vec::new(),
+            entered: Vec::new(),
             batch: BatchHeader::default(),
             early: None,
             counters: Counters::default(),
@@ -132,16 +135,22 @@ impl Supervisor {
 
     /// Announces zones that begin with the next tick, before this tick's command.
     fn tell_zones(&mut self, header: TickHeader, raw: &[RawCommand]) -> Result<()> {
+        self.entered.clear();
         for (index, (slot, raw)) in self.slots.iter_mut().zip(raw).enumerate() {
+            if has(raw.flags, Command::ENDED) {
+                continue;
+            }
             let zone = slot.tracker.update(slot.measured, raw.reference_along_m);
             if zone != slot.zone {
                 slot.zone = zone;
-                let message =
-                    Zone { from_tick: header.tick + 1, slot: index as u32, zone: zone as u32 };
-                let header = BatchHeader { sent_ns: now_ns(), ..self.batch };
-                self.zones.send(header, 1, |_| message)?;
-                tracing::info!(slot = index, zone, from_tick = message.from_tick, "zone");
+                let (from_tick, zone) = (header.tick + 1, zone as u32);
+                self.entered.push(Zone { from_tick, slot: index as u32, zone });
             }
+        }
+        if !self.entered.is_empty() {
+            let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
+            let entered = &self.entered;
+            self.zones.send(header, entered.len(), |index| entered[index])?;
         }
         Ok(())
     }

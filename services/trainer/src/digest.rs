@@ -1,5 +1,6 @@
 //! The digest of a training: what each learner received and became, and nothing else.
 
+use ipc_types::DriveReport;
 use sha2::{Digest, Sha256};
 
 use crate::Training;
@@ -9,6 +10,24 @@ pub fn digest(training: &Training) -> String {
     let mut digest = Sha256::new();
     for learner in training.learners() {
         learner.digest_into(&mut digest);
+    }
+    to_hex(&digest.finalize())
+}
+
+/// SHA-256 over the reports of a list of drives, as hexadecimal digits.
+pub(crate) fn digest_of_reports(reports: &[DriveReport]) -> String {
+    let mut digest = Sha256::new();
+    for report in reports {
+        let ipc_types::Gains { kv, kl, ks, ki } = report.gains;
+        let numbers = [kv, kl, ks, ki, report.mean_abs_along_m, report.mean_abs_cross_m];
+        let more = [report.mean_abs_heading_rad, report.along_mse_m2, report.cross_mse_m2];
+        for number in numbers.into_iter().chain(more).chain([report.max_abs_cross_m]) {
+            digest.update(number.to_bits().to_le_bytes());
+        }
+        let counts = [report.seed, report.ticks, report.steering_limited_ticks, report.trace];
+        for count in counts.into_iter().chain([report.reason.into()]) {
+            digest.update(count.to_le_bytes());
+        }
     }
     to_hex(&digest.finalize())
 }

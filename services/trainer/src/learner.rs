@@ -96,6 +96,8 @@ pub struct Learner {
     q: Vec<f64>,
     visits: Vec<u32>,
     set_visits: Vec<u32>,
+    /// Sum of the distances of each set's drives.
+    set_distances: Vec<f64>,
     locked: [Option<u16>; 4],
     /// The gain set that is driven now, or was driven last.
     position: GridPosition,
@@ -132,6 +134,7 @@ impl Learner {
             q: vec![0.0; bins * bins * ACTIONS],
             visits: vec![0; bins * bins * ACTIONS],
             set_visits: vec![0; grid.len()],
+            set_distances: vec![0.0; grid.len()],
             locked: [None; 4],
             position,
             action: 0,
@@ -163,9 +166,11 @@ impl Learner {
     pub fn learn(&mut self, drive: &DriveRecord) {
         assert!(!self.is_finished(), "a finished learner wants no drive");
         self.hash_drive(drive);
-        self.set_visits[self.grid.index(self.position)] += 1;
         let state = self.state(drive);
         let distance = self.distance(drive);
+        let set = self.grid.index(self.position);
+        self.set_visits[set] += 1;
+        self.set_distances[set] += distance;
         self.best = self.best.min(distance);
         match self.before {
             None => self.next_action(state, distance),
@@ -374,6 +379,11 @@ impl Learner {
     /// Drives that were asked for and answered.
     pub fn drives_taken(&self) -> u32 {
         self.step
+    }
+
+    /// Drives of the set with this number in the grid, and the sum of their distances to the goal.
+    pub fn drives_of(&self, set: usize) -> (u32, f64) {
+        (self.set_visits[set], self.set_distances[set])
     }
 
     /// Least distance to the goal of any drive; infinite before the first.

@@ -135,12 +135,20 @@ impl Training {
 /// The gain set that most learners picked; ties go to the lower distance, then the lower mse, then the lower
 /// number in the grid.
 pub fn vote(learners: &[Learner], ranking: &Ranking) -> GridPosition {
+    vote_by(learners, |a, b| ranking.compare(a, b))
+}
+
+/// The gain set that most learners picked; ties go to what `compare` puts first.
+pub(crate) fn vote_by(
+    learners: &[Learner],
+    compare: impl Fn(GridPosition, GridPosition) -> std::cmp::Ordering,
+) -> GridPosition {
     let picks: Vec<GridPosition> = learners.iter().map(Learner::pick).collect();
     let votes = |set: GridPosition| picks.iter().filter(|pick| **pick == set).count();
     picks
         .iter()
         .copied()
-        .min_by(|a, b| votes(*b).cmp(&votes(*a)).then_with(|| ranking.compare(*a, *b)))
+        .min_by(|a, b| votes(*b).cmp(&votes(*a)).then_with(|| compare(*a, *b)))
         .expect("a training has at least one learner")
 }
 
