@@ -404,6 +404,15 @@ mod tests {
         check("[path]\npoints = [[0, 0], [1, 0]]", &["my.toml:2", "path.points", "pieces"]);
         check("[path]\npieces = []", &["my.toml:2", "path.pieces"]);
         check("[path]\npieces = [{ kind = 'loop' }]", &["my.toml:2", "path.pieces", "loop"]);
+        check("[vehicle]\nmass_kg = 0.0", &["my.toml:2", "vehicle.mass_kg", "(0, 100000]"]);
+        check(
+            "[vehicle]\nmodel = 'dynamic'\nfront_axle_to_cg_m = 2.875",
+            &["my.toml:3", "vehicle.front_axle_to_cg_m", "less than the wheelbase, 2.875"],
+        );
+        check(
+            "[vehicle]\nmodel = 'dynamic'\ncornering_stiffness_rear_npr = 1e4",
+            &["my.toml:3", "vehicle.cornering_stiffness_rear_npr", "unstable from 5.4 m/s"],
+        );
         check("[noise]\nposition_sd_m = nan", &["my.toml:2", "noise.position_sd_m", "NaN"]);
     }
 

@@ -51,7 +51,8 @@ impl Layers {
         let given = path_file::parse(&origin, &read(file)?)?;
         let path = resample(&given.points, &given.speeds_mps, MAX_POINTS);
 
-        let floats = |values: &[f64]| Value::Array(values.iter().map(|v| Value::Float(*v)).collect());
+        let floats =
+            |values: &[f64]| Value::Array(values.iter().map(|v| Value::Float(*v)).collect());
         let points = path.points.iter().map(|point| floats(point)).collect();
         self.put(&origin, "path.pieces", Value::Array(Vec::new()))?;
         self.put(&origin, "path.points", Value::Array(points))?;
@@ -77,7 +78,8 @@ impl Layers {
     /// where the layers hold no speed to tell it by, which resolving them reports.
     fn loop_time_s(&self, path: &Resampled) -> Option<f64> {
         let at_speed_s = if path.speeds_mps.is_empty() {
-            path.length_m / self.number("reference.speed_mps").filter(|speed_mps| *speed_mps > 0.0)?
+            path.length_m
+                / self.number("reference.speed_mps").filter(|speed_mps| *speed_mps > 0.0)?
         } else {
             path.time_s
         };
@@ -263,7 +265,8 @@ mod tests {
 
     #[test]
     fn zones_stand_in_a_file_beside_it() {
-        let zones = "[[zones]]\nname = \"in\"\nfrom_m = 0\n\n[[zones]]\nname = \"out\"\nfrom_m = 4.5\n";
+        let zones =
+            "[[zones]]\nname = \"in\"\nfrom_m = 0\n\n[[zones]]\nname = \"out\"\nfrom_m = 4.5\n";
         let config = resolve(STRAIGHT, Some(zones)).unwrap();
         assert_eq!(config.path.zones[1], ZoneConfig { name: "out".to_owned(), from_m: 4.5 });
         let check = |zones: &str, parts: &[&str]| {
@@ -294,7 +297,9 @@ mod tests {
         let message = Layers::own_path(Path::new("/no/such.csv")).unwrap_err().to_string();
         assert!(message.starts_with("/no/such.csv: cannot be read: "), "{message}");
         let folder = tempfile::tempdir().unwrap();
-        assert!(Layers::own_path(folder.path()).unwrap_err().to_string().contains("cannot be read"));
+        assert!(
+            Layers::own_path(folder.path()).unwrap_err().to_string().contains("cannot be read")
+        );
     }
 
     #[test]
@@ -314,7 +319,9 @@ mod tests {
                     let off_m = libm::hypot(*x_m, *y_m) - 10.0;
                     assert!(off_m.abs() < 1e-2, "{count} points: {off_m} m");
                 }
-                assert!((path.length_m / (std::f64::consts::TAU * 10.0 * turns) - 1.0).abs() < 1e-3);
+                assert!(
+                    (path.length_m / (std::f64::consts::TAU * 10.0 * turns) - 1.0).abs() < 1e-3
+                );
                 assert!((path.yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
             }
         }

@@ -58,7 +58,11 @@ pub(crate) fn parse(origin: &str, bytes: &[u8]) -> Result<PathFile, ConfigError>
     })?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     if text.trim().is_empty() {
-        return Err(mistake(origin, 1, "is empty; write a header x_m,y_m[,v_mps], and a point a line"));
+        return Err(mistake(
+            origin,
+            1,
+            "is empty; write a header x_m,y_m[,v_mps], and a point a line",
+        ));
     }
     let (header, header_line, body) = find_header(origin, text)?;
     let rows = rows(origin, &header, body)?;
@@ -90,10 +94,7 @@ fn quoted(text: &str) -> String {
 type Body<'a> = Vec<(usize, &'a str)>;
 
 /// The header, its line, and the rows behind it.
-fn find_header<'a>(
-    origin: &str,
-    text: &'a str,
-) -> Result<(Header, usize, Body<'a>), ConfigError> {
+fn find_header<'a>(origin: &str, text: &'a str) -> Result<(Header, usize, Body<'a>), ConfigError> {
     let mut in_comment = None;
     let mut body = Body::new();
     for (line, content) in text.lines().enumerate().map(|(index, line)| (index + 1, line.trim())) {
@@ -162,7 +163,9 @@ fn no_header(first: &str) -> String {
     for (delimiter, called) in [('\t', "tabs"), ('|', "'|'"), (' ', "spaces")] {
         let names: Vec<_> = fields(first, delimiter).collect();
         if holds(&names, "x_m") && holds(&names, "y_m") {
-            return format!("has {called} between its columns; separate them by commas, as in x_m,y_m");
+            return format!(
+                "has {called} between its columns; separate them by commas, as in x_m,y_m"
+            );
         }
     }
     let delimiter = if first.contains(';') { ';' } else { ',' };
@@ -214,7 +217,8 @@ fn rows(origin: &str, header: &Header, body: Body<'_>) -> Result<PathFile, Confi
             }
             let Ok(value) = field.parse::<f64>() else {
                 let comma = field.replace(',', ".").parse::<f64>().is_ok();
-                let hint = if comma { "write the decimals behind a point" } else { "write a number" };
+                let hint =
+                    if comma { "write the decimals behind a point" } else { "write a number" };
                 return Err(wrong(format!("is {}, which is not a number; {hint}", quoted(field))));
             };
             if !(low..=high).contains(&value) {
@@ -252,7 +256,8 @@ fn check_steps(origin: &str, mut file: PathFile) -> Result<PathFile, ConfigError
     let steps: Vec<_> = file.points.windows(2).map(|pair| apart_m(pair[0], pair[1])).collect();
     let lines = &file.lines;
     if let Some(index) = steps.iter().position(|step_m| *step_m <= SAME_POINT_M) {
-        let problem = format!("is the point of line {} once more; remove one of them", lines[index]);
+        let problem =
+            format!("is the point of line {} once more; remove one of them", lines[index]);
         return Err(mistake(origin, lines[index + 1], problem));
     }
     let mut sorted = steps.clone();

@@ -23,7 +23,8 @@ pub(crate) fn validate(path: &PathConfig, vehicle: &Vehicle) -> Result<(), Probl
             return fail("path.pieces".to_owned(), problem.to_owned());
         }
         (false, false) => {
-            let problem = "stands beside path.pieces; a path has either, so set the other one to []";
+            let problem =
+                "stands beside path.pieces; a path has either, so set the other one to []";
             return fail("path.points".to_owned(), problem.to_owned());
         }
         (false, true) if speeds_mps.is_empty() => return Ok(()),
@@ -105,7 +106,6 @@ fn curvatures(points: &[[f64; 2]]) -> impl Iterator<Item = (usize, f64)> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::{Layers, RunConfig};
 
     fn resolve(points: &str, sets: &[&str]) -> Result<RunConfig, crate::ConfigError> {

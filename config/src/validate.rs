@@ -178,7 +178,8 @@ fn vehicle(config: &RunConfig) -> Result<(), Problem> {
 fn dynamic_vehicle(v: &Vehicle) -> Result<(), Problem> {
     let (front_m, rear_m) = (v.front_axle_to_cg_m, v.wheelbase_m - v.front_axle_to_cg_m);
     if rear_m <= 0.0 {
-        let problem = format!("is {front_m}, and must be less than the wheelbase, {}", v.wheelbase_m);
+        let problem =
+            format!("is {front_m}, and must be less than the wheelbase, {}", v.wheelbase_m);
         return Err(("vehicle.front_axle_to_cg_m".to_owned(), problem));
     }
     let (front_npr, rear_npr) = (v.cornering_stiffness_front_npr, v.cornering_stiffness_rear_npr);

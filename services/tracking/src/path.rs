@@ -166,7 +166,8 @@ impl Path {
         let (low, high) = (near_m - window_m, near_m + window_m);
         let mut best: Option<(f64, PathPoint)> = None;
         // A path through points has thousands of segments, and the window some dozen.
-        let first = self.segments.partition_point(|segment| segment.from_m + segment.length_m < low);
+        let first =
+            self.segments.partition_point(|segment| segment.from_m + segment.length_m < low);
         for segment in &self.segments[first..] {
             let (from, to) = (segment.from_m, segment.from_m + segment.length_m);
             if from > high {
@@ -307,7 +308,7 @@ mod tests {
     #[test]
     fn a_circle_of_coarse_points_is_a_circle() {
         for (radius_m, count, turns) in
-            [(6.0, 8, 1.0), (6.0, 8, 0.8), (12.0, 20, 1.0), (50.0, 12, 2.5), (500.0, 90, 1.0)]
+            [(6.0, 8, 1.0), (6.0, 8, 0.8), (12.0, 20, 1.0), (50.0, 24, 2.5), (500.0, 90, 1.0)]
         {
             let (config, path) = from_file(&circle(radius_m, count, turns));
             let start = config.path.start;
@@ -366,11 +367,12 @@ mod tests {
         fn a_path_passes_through_every_given_point(
             steps in prop::collection::vec((0.4..2.0f64, -0.1..0.1f64), 8..60),
         ) {
-            let (mut at, mut heading, mut bend) = ([5.0, 5.0], 0.5, 0.0f64);
+            let (mut at, mut heading, mut bend, mut last_m) = ([5.0, 5.0], 0.5, 0.0f64, 0.0);
             let mut points = vec![at];
             for (step_m, change) in steps {
-                bend = (bend + 0.3 * change).clamp(-0.1, 0.1);
-                heading += bend * step_m;
+                bend = (bend + 0.3 * change * step_m).clamp(-0.1, 0.1);
+                heading += bend * 0.5 * (last_m + step_m);
+                last_m = step_m;
                 at = [at[0] + step_m * libm::cos(heading), at[1] + step_m * libm::sin(heading)];
                 points.push(at);
             }

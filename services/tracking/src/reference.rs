@@ -183,7 +183,10 @@ mod tests {
                 let share = (0.01 * (tick as f64 - 0.5) / ramp_s).min(1.0);
                 let wanted_mps = share * profile(0.5 * (along_m + last_m));
                 if !reference.at_end() {
-                    assert!((speed_mps - wanted_mps).abs() < 0.02, "{tick}: {speed_mps} {wanted_mps}");
+                    assert!(
+                        (speed_mps - wanted_mps).abs() < 0.02,
+                        "{tick}: {speed_mps} {wanted_mps}"
+                    );
                 }
                 ended |= reference.at_end();
                 last_m = along_m;
@@ -200,8 +203,8 @@ mod tests {
         let (mut profile, mut set) = (straight(1.0, |_| 1.5), straight(1.0, |_| 1.5));
         set.timetable = None;
         for tick in 0..700 {
-            let apart_m = profile.advance(tick, Pose::default()).x_m
-                - set.advance(tick, Pose::default()).x_m;
+            let apart_m =
+                profile.advance(tick, Pose::default()).x_m - set.advance(tick, Pose::default()).x_m;
             assert!(apart_m.abs() < 1e-12);
             assert_eq!(profile.at_end(), set.at_end());
         }
