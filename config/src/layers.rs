@@ -24,14 +24,20 @@ impl Layers {
     /// # Errors
     /// If no manoeuvre has that name; the error names the nearest one.
     pub fn maneuver(name: &str) -> Result<Self, ConfigError> {
-        let Some(maneuver) = preset(&format!("maneuvers/{name}.toml")) else {
-            let known: Vec<_> = maneuver_names().collect();
-            let hint = match nearest(name, known.iter().copied()) {
-                Some(near) => format!("did you mean {near}?"),
-                None => format!("there are {}", known.join(", ")),
-            };
-            return Err(ConfigError::new("maneuver", "", format!("unknown: {name}; {hint}")));
+        if maneuver_names().any(|known| known == name) {
+            return Self::embedded(name);
+        }
+        let known: Vec<_> = maneuver_names().collect();
+        let hint = match nearest(name, known.iter().copied()) {
+            Some(near) => format!("did you mean {near}?"),
+            None => format!("there are {}", known.join(", ")),
         };
+        Err(ConfigError::new("maneuver", "", format!("unknown: {name}; {hint}")))
+    }
+
+    /// The embedded layers of a manoeuvre that is known to exist.
+    pub(crate) fn embedded(name: &str) -> Result<Self, ConfigError> {
+        let maneuver = preset(&format!("maneuvers/{name}.toml")).expect("embedded");
         let readings = preset("readings.toml").expect("embedded");
         let mut values = parse_table(readings.path, readings.text)?;
         merge(&mut values, parse_table(maneuver.path, maneuver.text)?);
@@ -156,6 +162,21 @@ impl Layers {
         Ok(config)
     }
 
+    /// The value of a key, where it is a number.
+    pub(crate) fn number(&self, key: &str) -> Option<f64> {
+        let (head, rest) = key.split_once('.')?;
+        match self.values.get(head)?.get(rest)? {
+            Value::Float(number) => Some(*number),
+            Value::Integer(number) => Some(*number as f64),
+            _ => None,
+        }
+    }
+
+    /// Remembers where a part of a value, such as `path.points[3]`, came from.
+    pub(crate) fn note_origin(&mut self, part: String, origin: String) {
+        self.origins.insert(part, origin);
+    }
+
     fn load_vehicle(&mut self, name: &str, origin: &str) -> Result<(), ConfigError> {
         let default = preset("vehicles/tesla_model_3.toml").expect("embedded");
         let mut vehicle = parse_table(default.path, default.text)?;
@@ -194,6 +215,9 @@ impl Layers {
             return Err(ConfigError::new(origin, key, problem));
         }
         *slot = value;
+        // The parts of the old value are gone, and so is where they came from.
+        let part = format!("{key}[");
+        self.origins.retain(|set, _| !set.starts_with(&part));
         self.origins.insert(key.to_owned(), origin);
         Ok(())
     }
@@ -386,8 +410,18 @@ mod tests {
         check("[grid]\nkv = { min = 3.0, max = 1.0 }", &["my.toml:2", "grid.kv", "reversed"]);
         check("[grid.kv]\nstep = 0.0", &["my.toml:2", "grid.kv.step"]);
         check("maneuver = 'other'", &["my.toml:1", "maneuver", "cannot be changed"]);
+        check("[path]\npoints = [[0, 0], [1, 0]]", &["my.toml:2", "path.points", "pieces"]);
         check("[path]\npieces = []", &["my.toml:2", "path.pieces"]);
         check("[path]\npieces = [{ kind = 'loop' }]", &["my.toml:2", "path.pieces", "loop"]);
+        check("[vehicle]\nmass_kg = 0.0", &["my.toml:2", "vehicle.mass_kg", "(0, 100000]"]);
+        check(
+            "[vehicle]\nmodel = 'dynamic'\nfront_axle_to_cg_m = 2.875",
+            &["my.toml:3", "vehicle.front_axle_to_cg_m", "less than the wheelbase, 2.875"],
+        );
+        check(
+            "[vehicle]\nmodel = 'dynamic'\ncornering_stiffness_rear_npr = 1e4",
+            &["my.toml:3", "vehicle.cornering_stiffness_rear_npr", "unstable from 5.4 m/s"],
+        );
         check("[noise]\nposition_sd_m = nan", &["my.toml:2", "noise.position_sd_m", "NaN"]);
     }
 
@@ -409,5 +443,6 @@ mod tests {
     fn an_unknown_maneuver_names_the_nearest() {
         assert!(message(Layers::maneuver("lanechange")).contains("did you mean lane_change?"));
         assert!(message(Layers::maneuver("xyz")).contains("lane_change, roundabout"));
+        assert!(message(Layers::maneuver("path")).contains("there are lane_change"));
     }
 }

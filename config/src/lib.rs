@@ -11,7 +11,11 @@
 mod error;
 pub mod launch;
 mod layers;
+mod own_path;
+mod path_file;
+mod points;
 mod presets;
+mod resample;
 mod schema;
 mod sweep;
 mod validate;

@@ -22,7 +22,9 @@ pub fn presets() -> &'static [Preset] {
         "maneuvers/lane_change.toml",
         "maneuvers/roundabout.toml",
         "maneuvers/circuit.toml",
+        "maneuvers/path.toml",
         "vehicles/tesla_model_3.toml",
+        "vehicles/tesla_model_3_dynamic.toml",
         "launch/train.toml",
     )
 }
@@ -32,11 +34,15 @@ pub(crate) fn preset(path: &str) -> Option<Preset> {
     presets().iter().copied().find(|preset| preset.path == path)
 }
 
+/// Name of the manoeuvre below a path of the user's own. It is of no use without one, so nobody is offered it.
+pub(crate) const OWN_PATH: &str = "path";
+
 /// Names of the manoeuvres that can be trained.
 pub fn maneuver_names() -> impl Iterator<Item = &'static str> {
     presets()
         .iter()
         .filter_map(|preset| preset.path.strip_prefix("maneuvers/")?.strip_suffix(".toml"))
+        .filter(|name| *name != OWN_PATH)
 }
 
 /// The candidate that looks most like `word`, where one does at all.

@@ -157,7 +157,7 @@ pub struct PoseConfig {
     pub yaw_rad: f64,
 }
 
-/// A path as a chain of pieces.
+/// A path, as a chain of pieces or as a row of points: one of the two is empty.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PathConfig {
@@ -165,6 +165,11 @@ pub struct PathConfig {
     pub start: PoseConfig,
     /// The pieces, one behind the other.
     pub pieces: Vec<Piece>,
+    /// Points that the path runs through, (x_m, y_m) in the map frame; the first lies at the start. A
+    /// path is closed where the last one is the first one again.
+    pub points: Vec<[f64; 2]>,
+    /// The reference's speed at each point; empty where it is the same everywhere.
+    pub speeds_mps: Vec<f64>,
     /// The zones, in the order of the path.
     pub zones: Vec<ZoneConfig>,
 }
@@ -554,6 +559,8 @@ choice!(
     VehicleModel {
         /// Kinematic single track.
         Kinematic,
+        /// Dynamic single track with linear tyres.
+        Dynamic,
     }
 );
 
@@ -581,6 +588,11 @@ pub struct Vehicle {
     pub brake_decel_mps2: f64,
     pub drag_per_s: f64,
     pub rolling_decel_mps2: f64,
+    pub mass_kg: f64,
+    pub yaw_inertia_kgm2: f64,
+    pub front_axle_to_cg_m: f64,
+    pub cornering_stiffness_front_npr: f64,
+    pub cornering_stiffness_rear_npr: f64,
     pub gear_engaged: bool,
     pub gear_drive_s: f64,
     pub gear_reverse_s: f64,

@@ -1,6 +1,6 @@
 //! Ranges, and what must fit together.
 
-use crate::{Advance, Axis, Piece, RunConfig};
+use crate::{Advance, Axis, Piece, RunConfig, Vehicle, VehicleModel, points};
 
 /// The largest fleet that one message carries.
 pub(crate) const MAX_FLEET: u32 = 256;
@@ -9,7 +9,7 @@ const MAX_GRID: usize = 100_000;
 /// The longest drive, in ticks.
 const MAX_TICKS: f64 = 1e6;
 
-type Problem = (String, String);
+pub(crate) type Problem = (String, String);
 
 /// Finds the first value that is out of range, as (dotted key, problem).
 pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
@@ -87,9 +87,7 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
     ] {
         within(key, value, -1e6, 1e6)?;
     }
-    if path.pieces.is_empty() {
-        return Err(("path.pieces".to_owned(), "is empty; a path needs a piece".to_owned()));
-    }
+    points::validate(path, &config.vehicle)?;
     for (index, piece) in path.pieces.iter().enumerate() {
         let key = |field: &str| format!("path.pieces[{index}].{field}");
         match *piece {
@@ -202,11 +200,40 @@ fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     within("vehicle.gear_drive_s", v.gear_drive_s, 0.0, 60.0)?;
     within("vehicle.gear_reverse_s", v.gear_reverse_s, 0.0, 60.0)?;
     above("vehicle.gear_poll_s", v.gear_poll_s, 0.0, 60.0)?;
-    above("vehicle.gear_speed_mps", v.gear_speed_mps, 0.0, 10.0)
+    above("vehicle.gear_speed_mps", v.gear_speed_mps, 0.0, 10.0)?;
+    above("vehicle.mass_kg", v.mass_kg, 0.0, 1e5)?;
+    above("vehicle.yaw_inertia_kgm2", v.yaw_inertia_kgm2, 0.0, 1e6)?;
+    above("vehicle.front_axle_to_cg_m", v.front_axle_to_cg_m, 0.0, 20.0)?;
+    above("vehicle.cornering_stiffness_front_npr", v.cornering_stiffness_front_npr, 0.0, 1e7)?;
+    above("vehicle.cornering_stiffness_rear_npr", v.cornering_stiffness_rear_npr, 0.0, 1e7)?;
+    if v.model == VehicleModel::Dynamic { dynamic_vehicle(v) } else { Ok(()) }
+}
+
+/// What must fit together in the dynamic model, and is of no concern to the kinematic one.
+fn dynamic_vehicle(v: &Vehicle) -> Result<(), Problem> {
+    let (front_m, rear_m) = (v.front_axle_to_cg_m, v.wheelbase_m - v.front_axle_to_cg_m);
+    if rear_m <= 0.0 {
+        let problem =
+            format!("is {front_m}, and must be less than the wheelbase, {}", v.wheelbase_m);
+        return Err(("vehicle.front_axle_to_cg_m".to_owned(), problem));
+    }
+    let (front_npr, rear_npr) = (v.cornering_stiffness_front_npr, v.cornering_stiffness_rear_npr);
+    // An oversteering car loses its stability at this speed: it turns ever faster with no steering at all.
+    let oversteer = v.mass_kg * (front_m * front_npr - rear_m * rear_npr);
+    let stiffness = front_npr * rear_npr * v.wheelbase_m * v.wheelbase_m;
+    if oversteer * v.speed_limit_mps * v.speed_limit_mps >= stiffness {
+        let problem = format!(
+            "is {rear_npr}, with which the car oversteers and is unstable from {:.1} m/s on; take stiffer \
+             rear tyres or a vehicle.speed_limit_mps below that",
+            (stiffness / oversteer).sqrt()
+        );
+        return Err(("vehicle.cornering_stiffness_rear_npr".to_owned(), problem));
+    }
+    Ok(())
 }
 
 /// `low <= value <= high`; NaN is never within.
-fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), Problem> {
+pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), Problem> {
     if (low..=high).contains(&value) {
         return Ok(());
     }
@@ -214,7 +241,7 @@ fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), Problem> {
 }
 
 /// `low < value <= high`; NaN is never within.
-fn above(key: &str, value: f64, low: f64, high: f64) -> Result<(), Problem> {
+pub(crate) fn above(key: &str, value: f64, low: f64, high: f64) -> Result<(), Problem> {
     if value > low && value <= high {
         return Ok(());
     }

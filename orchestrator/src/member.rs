@@ -11,8 +11,8 @@ use crate::Failure;
 use crate::housekeeping::ProcessState;
 use crate::pipeline::Plan;
 use crate::process::{Process, describe, last_lines};
-use crate::result::ProcessFacts;
 use crate::restart::{Budget, RestartPolicy};
+use crate::result::ProcessFacts;
 
 /// A process must be ready this soon after its start: it opens a dozen files.
 const READY_WITHIN_NS: u64 = 5_000_000_000;

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use config::{RunConfig, SweepPlan};
 use config::launch::{Launch, Role};
+use config::{RunConfig, SweepPlan};
 use ipc_types::{
     BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Status,
     WakeRole, WirePose, has,
@@ -27,8 +27,8 @@ use crate::member::{Member, State};
 use crate::process::clean_up_behind;
 use crate::progress::Progress;
 use crate::recovery::{RandomKills, Recoveries};
-use crate::result::RunFacts;
 use crate::restart::{Budget, Decision};
+use crate::result::RunFacts;
 use crate::sequencer::Sequencer;
 
 /// A batch without a tick for so long has lost a message; progress is told with each sign of life.
@@ -132,8 +132,7 @@ impl<'a> Pipeline<'a> {
             }
         };
         // Each drive of a list goes by a number of its own.
-        let learners =
-            if plan.sweep.is_some() { u32::MAX } else { config.run.alphas.len() as u32 };
+        let learners = if plan.sweep.is_some() { u32::MAX } else { config.run.alphas.len() as u32 };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
         let members = plan.launch.process.iter().map(|entry| Member::new(entry, plan)).collect();

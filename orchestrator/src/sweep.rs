@@ -93,8 +93,7 @@ fn sweep(
     print: fn(&RunConfig, &Value) -> Result<(), Failure>,
 ) -> Result<PathBuf, Failure> {
     let launch = setup::launch(args, Some("schedule"))?;
-    let ready =
-        setup::prepare(args, config, launch, Some(plan), Folder::New(name), interrupted)?;
+    let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(name), interrupted)?;
     let facts = run_or_unmake(&ready, true)?;
     let plan = &ready.plan;
     let result = write_result(&plan.folder, kind, &plan.config, &facts)?;

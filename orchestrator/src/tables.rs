@@ -11,8 +11,7 @@ use crate::terminal::say;
 /// The table of a training, and what else is worth knowing of it.
 pub(crate) fn print_training(config: &RunConfig, result: &Value) -> Result<(), Failure> {
     let size = result["grid"]["size"].as_u64().unwrap_or_default();
-    let mut table =
-        table_of(&["", "Kv", "Kl", "Ks", "Ki", "distance", "rank", "mse m²", "rank"]);
+    let mut table = table_of(&["", "Kv", "Kl", "Ks", "Ki", "distance", "rank", "mse m²", "rank"]);
     let mut row = |name: &str, set: &Value, ranks: &Value| {
         let rank = |key: &str| format!("{}/{size}", whole(&ranks[key]));
         let mut cells = vec![name.to_owned()];
@@ -105,8 +104,16 @@ pub(crate) fn print_validation(_: &RunConfig, result: &Value) -> Result<(), Fail
         format!("{mark}{}", sets.join(" / "))
     };
     let mut table = table_of(&[
-        "noise-free", "mse m²", "paper", "factor", "along", "cross", "distance", "max cross m",
-        "at limit", "collisions",
+        "noise-free",
+        "mse m²",
+        "paper",
+        "factor",
+        "along",
+        "cross",
+        "distance",
+        "max cross m",
+        "at limit",
+        "collisions",
     ]);
     for row in rows() {
         let plain = &row["noise_free"];
@@ -125,9 +132,8 @@ pub(crate) fn print_validation(_: &RunConfig, result: &Value) -> Result<(), Fail
         ]);
     }
     say!("{table}");
-    let mut table = table_of(&[
-        "with noise", "mean mse m²", "95 %", "worst", "paper", "factor", "collisions",
-    ]);
+    let mut table =
+        table_of(&["with noise", "mean mse m²", "95 %", "worst", "paper", "factor", "collisions"]);
     for row in rows() {
         let noisy = &row["noisy"];
         let interval =
@@ -143,7 +149,10 @@ pub(crate) fn print_validation(_: &RunConfig, result: &Value) -> Result<(), Fail
         ]);
     }
     say!("\n{table}");
-    say!("worst and mean of {} drives; the paper gives the worst of 10; *: its choice", result["repeats"]);
+    say!(
+        "worst and mean of {} drives; the paper gives the worst of 10; *: its choice",
+        result["repeats"]
+    );
     if let Some(factor) = result["rms_factor"].as_f64() {
         say!("rms factor against the paper {factor:.3}");
     }
@@ -170,9 +179,11 @@ pub(crate) fn print_grid(_: &RunConfig, result: &Value) -> Result<(), Failure> {
         cells.push(words(&set["on_bound"]));
         cells
     };
-    for (title, key) in
-        [("best by distance", "best_by_distance"), ("best by mse", "best_by_mse"), ("asked for", "sets")]
-    {
+    for (title, key) in [
+        ("best by distance", "best_by_distance"),
+        ("best by mse", "best_by_mse"),
+        ("asked for", "sets"),
+    ] {
         let sets: Vec<&Value> = result[key].as_array().into_iter().flatten().collect();
         if sets.is_empty() {
             continue;

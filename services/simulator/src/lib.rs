@@ -1,7 +1,8 @@
 //! The simulated vehicle: a single track with a car's actuators, and the process that publishes it.
 //!
-//! `vehicle` is pure; [`service`] joins it to the pipeline.
+//! `vehicle` and `lateral` are pure; [`service`] joins it to the pipeline.
 
+mod lateral;
 mod noise;
 mod road;
 pub mod service;

@@ -1,4 +1,4 @@
-//! The vehicle model: kinematic single track, speed PI to throttle and brake, lags, gear selector, steering rate.
+//! The vehicle model: single track (its lateral half is `lateral`), speed PI to throttle and brake, lags, gear selector, steering rate.
 //!
 //! Pure: the seed is an argument, one call of [`SimulatedVehicle::step`] is one tick. The state lives at
 //! the rear axle; what is reported is the tracked point, `tracked_point_m` ahead of it.
@@ -6,6 +6,7 @@
 use config::{Noise, RunConfig, Vehicle};
 use tracking::Pose;
 
+use crate::lateral::Lateral;
 use crate::noise::PoseNoise;
 use crate::road::Road;
 
@@ -37,6 +38,7 @@ pub struct SimulatedVehicle {
     road: Option<Road>,
     noise: Option<PoseNoise>,
     gear: GearSelector,
+    lateral: Lateral,
 
     rear_axle: Pose,
     speed_mps: f64,
@@ -60,6 +62,7 @@ impl SimulatedVehicle {
             road: Road::new(config),
             noise: None,
             gear: GearSelector::new(&vehicle, tick_s),
+            lateral: Lateral::new(&vehicle),
             rear_axle: Pose::default(),
             speed_mps: 0.0,
             yaw_rate_radps: 0.0,
@@ -79,6 +82,7 @@ impl SimulatedVehicle {
         self.rear_axle = Pose { x_m: back.x, y_m: back.y, yaw_rad: start.yaw_rad };
         self.noise = noise_seed.map(|seed| PoseNoise::new(self.noise_settings, seed));
         self.gear = GearSelector::new(&self.vehicle, self.tick_s);
+        self.lateral.reset();
         self.speed_mps = 0.0;
         self.yaw_rate_radps = 0.0;
         self.steering_rad = 0.0;
@@ -138,13 +142,8 @@ impl SimulatedVehicle {
         let wanted_rad = steering_rad.clamp(-limit_rad, limit_rad);
         self.steering_rad += (wanted_rad - self.steering_rad).clamp(-reach_rad, reach_rad);
 
-        self.yaw_rate_radps = self.speed_mps * libm::tan(self.steering_rad) / vehicle.wheelbase_m;
-        let turned_rad = self.yaw_rate_radps * tick_s;
-        // The heading in the middle of the tick: exact to second order.
-        let middle_rad = self.rear_axle.yaw_rad + turned_rad / 2.0;
-        self.rear_axle.x_m += self.speed_mps * tick_s * libm::cos(middle_rad);
-        self.rear_axle.y_m += self.speed_mps * tick_s * libm::sin(middle_rad);
-        self.rear_axle.yaw_rad += turned_rad;
+        self.yaw_rate_radps =
+            self.lateral.step(&mut self.rear_axle, self.speed_mps, self.steering_rad, tick_s);
     }
 }
 
@@ -238,7 +237,11 @@ mod tests {
 
     #[test]
     fn a_reset_drive_repeats_bit_for_bit() {
-        let mut vehicle = vehicle(&["noise.enabled=true"]);
+        repeats(vehicle(&["noise.enabled=true"]));
+        repeats(vehicle(&["noise.enabled=true", "vehicle.model=dynamic"]));
+    }
+
+    fn repeats(mut vehicle: SimulatedVehicle) {
         let mut drive = |seed| {
             vehicle.reset(Pose::default(), Some(seed));
             (0..600)
@@ -278,8 +281,11 @@ mod tests {
         #[test]
         fn the_state_stays_finite_and_within_limits(
             commands in prop::collection::vec((-20.0..20.0f64, -2.0..2.0f64), 1..400),
+            dynamic: bool,
         ) {
-            let mut vehicle = vehicle(&["vehicle.gear_engaged=true"]);
+            let preset = ["tesla_model_3", "tesla_model_3_dynamic"][usize::from(dynamic)];
+            let mut vehicle =
+                vehicle(&[&format!("vehicle_preset={preset}"), "vehicle.gear_engaged=true"]);
             let mut steering = 0.0;
             for (speed, angle) in commands {
                 vehicle.step(speed, angle);

@@ -57,6 +57,15 @@ impl Segment {
         }
     }
 
+    /// Whether no point of the segment can be as near to (x, y) as the square root of `apart`: it is no
+    /// farther from its start than it is long. Cheap, and never true by rounding alone.
+    fn is_beyond(&self, x_m: f64, y_m: f64, apart: f64) -> bool {
+        const ROUNDING_M: f64 = 1e-6;
+        let (dx, dy) = (x_m - self.start.x_m, y_m - self.start.y_m);
+        let reach_m = apart.sqrt() + self.length_m + ROUNDING_M;
+        dx * dx + dy * dy > reach_m * reach_m
+    }
+
     /// Distance along the segment of the point nearest to (x, y), within its ends.
     fn nearest(&self, x_m: f64, y_m: f64) -> f64 {
         let Segment { start, sin, cos, curvature, length_m, .. } = *self;
@@ -89,8 +98,15 @@ impl Path {
     /// The path of a configuration.
     ///
     /// # Panics
-    /// If the configuration holds no piece; a resolved one does.
+    /// If the configuration holds neither a piece nor two points; a resolved one does.
     pub fn new(config: &PathConfig) -> Self {
+        if config.points.is_empty() {
+            return Self::from_pieces(config);
+        }
+        Self { segments: arcs_through(&config.points) }
+    }
+
+    fn from_pieces(config: &PathConfig) -> Self {
         let mut segments = Vec::with_capacity(config.pieces.len());
         let mut at = Pose::from(config.start);
         let mut from_m = 0.0;
@@ -125,6 +141,13 @@ impl Path {
         last.from_m + last.length_m
     }
 
+    /// Where the segments of the path meet, as distances along it, from its start to its end: of a path
+    /// through points, one for each point.
+    pub fn joints_m(&self) -> impl Iterator<Item = f64> {
+        let ends = self.segments.iter().map(|segment| segment.from_m + segment.length_m);
+        std::iter::once(0.0).chain(ends)
+    }
+
     /// The pose at a distance along the path, held at its ends. At a joint the later segment counts.
     pub fn at(&self, along_m: f64) -> Pose {
         let after = self.segments.partition_point(|segment| segment.from_m <= along_m);
@@ -142,9 +165,15 @@ impl Path {
     pub fn project(&self, x_m: f64, y_m: f64, near_m: f64, window_m: f64) -> PathPoint {
         let (low, high) = (near_m - window_m, near_m + window_m);
         let mut best: Option<(f64, PathPoint)> = None;
-        for segment in &self.segments {
+        // A path through points has thousands of segments, and the window some dozen.
+        let first =
+            self.segments.partition_point(|segment| segment.from_m + segment.length_m < low);
+        for segment in &self.segments[first..] {
             let (from, to) = (segment.from_m, segment.from_m + segment.length_m);
-            if to < low || from > high {
+            if from > high {
+                break;
+            }
+            if best.is_some_and(|(least, _)| segment.is_beyond(x_m, y_m, least)) {
                 continue;
             }
             let along_m = (from + segment.nearest(x_m, y_m)).clamp(low.max(from), high.min(to));
@@ -161,6 +190,60 @@ impl Path {
             PathPoint { along_m, offset_m: 0.0, pose: self.at(along_m) }
         })
     }
+}
+
+/// An arc from each point to the next one, as many as there are gaps between them.
+///
+/// Each turns by as much as the path does around it: half of what the chord before it turns into it, and
+/// half of what it turns into the chord behind. So an arc ends at the next point exactly, and the headings
+/// of two arcs that meet differ only by how unevenly the path bends.
+fn arcs_through(points: &[[f64; 2]]) -> Vec<Segment> {
+    /// An arc turns by no more than this, where a corner would have it turn back on itself.
+    const MOST_TURN_RAD: f64 = std::f64::consts::FRAC_PI_2;
+    /// An arc that turns by less is a straight: it leaves the chord by less than a millionth of its length, and
+    /// the centre of its circle would lie too far away for the arithmetic.
+    const LEAST_TURN_RAD: f64 = 1e-6;
+
+    let chord = |from: [f64; 2], to: [f64; 2]| {
+        let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
+        (libm::hypot(dx, dy), libm::atan2(dy, dx))
+    };
+    let chords: Vec<_> = points.windows(2).map(|pair| chord(pair[0], pair[1])).collect();
+    let count = chords.len();
+    assert!(count > 0, "a resolved path has two points");
+    // The curvature at each point: the turn between its chords, over the mean of their lengths.
+    let bend = |before: usize, behind: usize| {
+        let turn_rad = wrap_angle(chords[behind].1 - chords[before].1);
+        2.0 * turn_rad / (chords[before].0 + chords[behind].0)
+    };
+    let mut bends = vec![0.0; count + 1];
+    for index in 1..count {
+        bends[index] = bend(index - 1, index);
+    }
+    let closed = points[0] == points[count];
+    // A circle closed on itself bends at the seam as anywhere; an open end as beside it.
+    bends[0] = if closed { bend(count - 1, 0) } else { bends[1] };
+    bends[count] = if closed { bends[0] } else { bends[count - 1] };
+
+    let mut segments = Vec::with_capacity(count);
+    let (mut from_m, mut heading_rad) = (0.0, chords[0].1);
+    for (index, &(chord_m, chord_rad)) in chords.iter().enumerate() {
+        // Unwrapped: from one chord to the next, not from -π to π.
+        heading_rad += wrap_angle(chord_rad - heading_rad);
+        let turn_rad = (0.5 * chord_m * (bends[index] + bends[index + 1]))
+            .clamp(-MOST_TURN_RAD, MOST_TURN_RAD);
+        let [x_m, y_m] = points[index];
+        let (turn_rad, length_m, curvature) = if turn_rad.abs() < LEAST_TURN_RAD {
+            (0.0, chord_m, 0.0)
+        } else {
+            let curvature = 2.0 * libm::sin(0.5 * turn_rad) / chord_m;
+            (turn_rad, turn_rad / curvature, curvature)
+        };
+        let start = Pose { x_m, y_m, yaw_rad: heading_rad - 0.5 * turn_rad };
+        segments.push(Segment::new(from_m, length_m, start, curvature));
+        from_m += length_m;
+    }
+    segments
 }
 
 #[cfg(test)]
@@ -196,7 +279,114 @@ mod tests {
         assert!((end.x_m - 7.0).abs() < 1e-12 && (end.y_m - 7.0).abs() < 1e-12);
     }
 
+    fn through(points: &[[f64; 2]]) -> Path {
+        let mut path = Layers::maneuver("lane_change").unwrap().resolve().unwrap().path;
+        (path.pieces, path.points) = (Vec::new(), points.to_vec());
+        Path::new(&path)
+    }
+
+    /// The path of a file with these points, as a run drives it.
+    fn from_file(points: &[[f64; 2]]) -> (config::RunConfig, Path) {
+        let rows: Vec<_> = points.iter().map(|[x_m, y_m]| format!("{x_m},{y_m}\n")).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("p.csv");
+        std::fs::write(&file, format!("x_m,y_m\n{}", rows.concat())).unwrap();
+        let config = Layers::own_path(&file).unwrap().resolve().unwrap();
+        let path = Path::new(&config.path);
+        (config, path)
+    }
+
+    /// Points of a circle around the origin, counter-clockwise.
+    fn circle(radius_m: f64, count: usize, turns: f64) -> Vec<[f64; 2]> {
+        let point = |index: usize| {
+            let angle = std::f64::consts::TAU * turns * index as f64 / count as f64;
+            [radius_m * libm::cos(angle), radius_m * libm::sin(angle)]
+        };
+        (0..=count).map(|index| point(if turns == 1.0 { index % count } else { index })).collect()
+    }
+
+    #[test]
+    fn a_circle_of_coarse_points_is_a_circle() {
+        for (radius_m, count, turns) in
+            [(6.0, 8, 1.0), (6.0, 8, 0.8), (12.0, 20, 1.0), (50.0, 24, 2.5), (500.0, 90, 1.0)]
+        {
+            let (config, path) = from_file(&circle(radius_m, count, turns));
+            let start = config.path.start;
+            assert!((path.at(0.0).yaw_rad - start.yaw_rad).abs() < 1e-4);
+            let steps = 4000;
+            for step in 0..steps {
+                let along_m = path.length_m() * f64::from(step) / f64::from(steps);
+                let pose = path.at(along_m);
+                let off_m = libm::hypot(pose.x_m, pose.y_m) - radius_m;
+                assert!(off_m.abs() < 1e-2, "R {radius_m}, {count} points: {off_m} m");
+                let across = libm::atan2(pose.y_m, pose.x_m) + std::f64::consts::FRAC_PI_2;
+                assert!(wrap_angle(pose.yaw_rad - across).abs() < 2e-3);
+                let beside = path.project(0.9 * pose.x_m, 0.9 * pose.y_m, along_m, 3.0);
+                assert!((beside.offset_m - (0.1 * radius_m)).abs() < 1e-2);
+            }
+            for segment in &path.segments {
+                let apart = segment.curvature * radius_m - 1.0;
+                assert!(apart.abs() < 1e-2, "R {radius_m}, {count} points: curvature {apart}");
+            }
+            // Unwrapped: a lap is a whole turn.
+            let turned = path.end().yaw_rad - path.at(0.0).yaw_rad;
+            assert!((turned - turns * std::f64::consts::TAU).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn arcs_meet_the_points_also_where_they_are_uneven() {
+        let points = [[0.0, 0.0], [1.0, 0.0], [1.5, 0.2], [3.5, 1.5], [3.6, 1.7], [3.6, -4.0]];
+        let path = through(&points);
+        assert_eq!(path.joints_m().count(), points.len());
+        for ([x_m, y_m], along_m) in points.into_iter().zip(path.joints_m()) {
+            for pose in [path.at(along_m), path.at(along_m - 1e-9)] {
+                assert!(libm::hypot(pose.x_m - x_m, pose.y_m - y_m) < 1e-8);
+            }
+        }
+        let straight = through(&[[1.0, 1.0], [1.0, 3.0]]);
+        assert_eq!((straight.length_m(), straight.end().y_m), (2.0, 3.0));
+    }
+
+    #[test]
+    fn a_projection_visits_the_window_alone() {
+        let points: Vec<_> = (0..100_000).map(|index| [0.25 * f64::from(index), 0.0]).collect();
+        let path = through(&points);
+        let started = std::time::Instant::now();
+        for index in 0..20_000 {
+            let x_m = 1.2 * f64::from(index);
+            let point = path.project(x_m, 0.5, x_m + 1.0, 3.0);
+            assert!((point.along_m - x_m).abs() < 1e-6 && point.offset_m == 0.5);
+        }
+        // All segments each time would be 2 billion visits.
+        assert!(started.elapsed().as_secs() < 5);
+    }
+
     proptest! {
+        #[test]
+        fn a_path_passes_through_every_given_point(
+            steps in prop::collection::vec((0.4..2.0f64, -0.1..0.1f64), 8..60),
+        ) {
+            let (mut at, mut heading, mut bend, mut last_m) = ([5.0, 5.0], 0.5, 0.0f64, 0.0);
+            let mut points = vec![at];
+            for (step_m, change) in steps {
+                bend = (bend + 0.3 * change * step_m).clamp(-0.1, 0.1);
+                heading += bend * 0.5 * (last_m + step_m);
+                last_m = step_m;
+                at = [at[0] + step_m * libm::cos(heading), at[1] + step_m * libm::sin(heading)];
+                points.push(at);
+            }
+            let (_, path) = from_file(&points);
+            let mut near_m = 0.0;
+            for [x_m, y_m] in points {
+                let point = path.project(x_m, y_m, near_m, 3.0);
+                prop_assert!(point.offset_m.abs() < 1e-2, "{}", point.offset_m);
+                let (dx, dy) = (x_m - point.pose.x_m, y_m - point.pose.y_m);
+                prop_assert!(libm::hypot(dx, dy) < 1e-2);
+                near_m = point.along_m;
+            }
+        }
+
         #[test]
         fn the_path_has_no_gaps(along in 0.0..80.0f64) {
             let path = path(MIXED);

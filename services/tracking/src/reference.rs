@@ -12,8 +12,48 @@ pub struct Reference {
     lookahead_m: f64,
     speed_mps: f64,
     ramp_s: f64,
+    /// The times of a path with speeds of its own.
+    timetable: Option<Timetable>,
     tick_s: f64,
     along_m: f64,
+}
+
+/// When the reference passes each point of a path, at speeds that change evenly in time between them.
+#[derive(Debug, Clone, PartialEq)]
+struct Timetable {
+    /// In the order of the points; the first time is 0.
+    rows: Vec<TimetableRow>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct TimetableRow {
+    time_s: f64,
+    along_m: f64,
+    speed_mps: f64,
+}
+
+impl Timetable {
+    /// The timetable of a path with these speeds at its joints.
+    fn new(path: &Path, speeds_mps: &[f64]) -> Self {
+        let mut rows: Vec<TimetableRow> = Vec::with_capacity(speeds_mps.len());
+        for (along_m, &speed_mps) in path.joints_m().zip(speeds_mps) {
+            let time_s = rows.last().map_or(0.0, |last| {
+                last.time_s + 2.0 * (along_m - last.along_m) / (last.speed_mps + speed_mps)
+            });
+            rows.push(TimetableRow { time_s, along_m, speed_mps });
+        }
+        Self { rows }
+    }
+
+    /// Distance run after a time, held at the end.
+    fn along_m(&self, time_s: f64) -> f64 {
+        let behind = self.rows.partition_point(|row| row.time_s <= time_s);
+        let last = self.rows[behind.saturating_sub(1)];
+        let Some(next) = self.rows.get(behind) else { return last.along_m };
+        let since_s = time_s - last.time_s;
+        let accel_mps2 = (next.speed_mps - last.speed_mps) / (next.time_s - last.time_s);
+        last.along_m + since_s * (last.speed_mps + 0.5 * accel_mps2 * since_s)
+    }
 }
 
 impl Reference {
@@ -22,8 +62,11 @@ impl Reference {
 
     /// The reference of a configuration, at the start of its path.
     pub fn new(config: &RunConfig) -> Self {
+        let path = Path::new(&config.path);
+        let speeds_mps = &config.path.speeds_mps;
         Self {
-            path: Path::new(&config.path),
+            timetable: (!speeds_mps.is_empty()).then(|| Timetable::new(&path, speeds_mps)),
+            path,
             advance: config.reference.advance,
             lookahead_m: config.reference.lookahead_m,
             speed_mps: config.reference.speed_mps,
@@ -69,8 +112,18 @@ impl Reference {
         self.along_m + ahead_m >= self.path.length_m()
     }
 
-    /// Distance run after a time: a linear ramp from rest, then the set speed.
+    /// Distance run after a time: a linear ramp from rest, then the set speed, or the path's own.
     fn distance_after(&self, time_s: f64) -> f64 {
+        if let Some(timetable) = &self.timetable {
+            // The ramp stretches time, as it does at a set speed: the path's speeds are reached where
+            // they stand, and the one at the end of the ramp without a jump.
+            let at_speed_s = if time_s < self.ramp_s {
+                0.5 * time_s * time_s / self.ramp_s
+            } else {
+                time_s - 0.5 * self.ramp_s
+            };
+            return timetable.along_m(at_speed_s);
+        }
         if time_s < self.ramp_s {
             0.5 * self.speed_mps * time_s * time_s / self.ramp_s
         } else {
@@ -103,6 +156,58 @@ mod tests {
         reference.advance(300, measured);
         assert!((reference.along_m() - 3.75).abs() < 1e-12);
         assert!(!reference.at_end());
+    }
+
+    /// A straight of 10 m in 41 points with the speeds that `speed_mps` tells by the place.
+    fn straight(ramp_s: f64, speed_mps: impl Fn(f64) -> f64) -> Reference {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set(&format!("reference.ramp_s={ramp_s:?}")).unwrap();
+        let mut config = layers.resolve().unwrap();
+        let along = |index: i32| 0.25 * f64::from(index);
+        config.path.pieces.clear();
+        config.path.points = (0..=40).map(|index| [along(index), 0.0]).collect();
+        config.path.speeds_mps = (0..=40).map(|index| speed_mps(along(index))).collect();
+        Reference::new(&config)
+    }
+
+    #[test]
+    fn the_reference_s_speed_follows_the_profile() {
+        let profile = |along_m: f64| 1.0 + 0.8 * libm::sin(along_m);
+        for ramp_s in [0.0, 1.0] {
+            let mut reference = straight(ramp_s, profile);
+            let mut last_m = reference.advance(0, Pose::default()).x_m;
+            let mut ended = false;
+            for tick in 1..3000 {
+                let along_m = reference.advance(tick, Pose::default()).x_m;
+                let speed_mps = (along_m - last_m) / 0.01;
+                let share = (0.01 * (tick as f64 - 0.5) / ramp_s).min(1.0);
+                let wanted_mps = share * profile(0.5 * (along_m + last_m));
+                if !reference.at_end() {
+                    assert!(
+                        (speed_mps - wanted_mps).abs() < 0.02,
+                        "{tick}: {speed_mps} {wanted_mps}"
+                    );
+                }
+                ended |= reference.at_end();
+                last_m = along_m;
+            }
+            assert!(ended);
+            assert_eq!((last_m, reference.along_m()), (10.0, 10.0));
+            reference.reset();
+            assert_eq!(reference.advance(0, Pose::default()).x_m, 0.0);
+        }
+    }
+
+    #[test]
+    fn an_even_profile_is_a_set_speed() {
+        let (mut profile, mut set) = (straight(1.0, |_| 1.5), straight(1.0, |_| 1.5));
+        set.timetable = None;
+        for tick in 0..700 {
+            let apart_m =
+                profile.advance(tick, Pose::default()).x_m - set.advance(tick, Pose::default()).x_m;
+            assert!(apart_m.abs() < 1e-12);
+            assert_eq!(profile.at_end(), set.at_end());
+        }
     }
 
     #[test]

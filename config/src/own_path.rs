@@ -1,0 +1,363 @@
+//! A path of the user's own, as a layer: its file, and the zones' file beside it.
+
+use std::fs;
+use std::io::Read;
+use std::path::Path;
+
+use serde::Deserialize;
+use toml::{Spanned, Table, Value};
+
+use crate::points::MAX_POINTS;
+use crate::presets::OWN_PATH;
+use crate::resample::{Resampled, resample};
+use crate::{ConfigError, Layers, ZoneConfig, path_file};
+
+/// The largest file that is read: a hundred times the longest path at its densest use.
+const MAX_FILE_BYTES: u64 = 64 << 20;
+/// Time that the vehicle has to reach the end once the reference is there.
+const AFTER_END_S: f64 = 5.0;
+/// The longest drive, as `drive.loop_time_s` has it.
+const LONGEST_S: f64 = 3600.0;
+
+/// The zones' file: `slalom.toml` beside `slalom.csv`.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ZonesFile {
+    zones: Vec<Spanned<ZoneConfig>>,
+}
+
+impl Layers {
+    /// The embedded layers below a path of the user's own; [`Layers::add_path`] lays it on top.
+    pub fn own_path() -> Self {
+        Self::embedded(OWN_PATH).expect("the preset is checked by a test")
+    }
+
+    /// Lays the path of a file on top: points, speeds, start, zones (and no rows of the paper's), and a loop time that reaches its end at
+    /// the speeds that the layers hold by now.
+    ///
+    /// The file is a CSV with the columns `x_m`, `y_m` and perhaps `v_mps`, or a raceline of TUM's form. The
+    /// zones are those of the TOML file of the same name beside it, if there is one, else the path is a
+    /// single zone named `path`.
+    ///
+    /// # Errors
+    /// At the first mistake in either file, with its line and what to do about it.
+    pub fn add_path(&mut self, file: &Path) -> Result<(), ConfigError> {
+        let origin = file.display().to_string();
+        let given = path_file::parse(&origin, &read(file)?)?;
+        let path = resample(&given.points, &given.speeds_mps, MAX_POINTS);
+
+        let floats =
+            |values: &[f64]| Value::Array(values.iter().map(|v| Value::Float(*v)).collect());
+        let points = path.points.iter().map(|point| floats(point)).collect();
+        self.put(&origin, "paper", Value::Array(Vec::new()))?;
+        self.put(&origin, "path.pieces", Value::Array(Vec::new()))?;
+        self.put(&origin, "path.points", Value::Array(points))?;
+        self.put(&origin, "path.speeds_mps", floats(&path.speeds_mps))?;
+        let first = format!("{origin}:{}", given.lines[0]);
+        self.put(&first, "path.start.x_m", path.points[0][0])?;
+        self.put(&first, "path.start.y_m", path.points[0][1])?;
+        self.put(&first, "path.start.yaw_rad", path.yaw_rad)?;
+        for (index, row) in path.given.iter().enumerate() {
+            let line = format!("{origin}:{}", given.lines[*row]);
+            if !path.speeds_mps.is_empty() {
+                self.note_origin(format!("path.speeds_mps[{index}]"), line.clone());
+            }
+            self.note_origin(format!("path.points[{index}]"), line);
+        }
+        if let Some(loop_time_s) = self.loop_time_s(&path) {
+            self.put(&origin, "drive.loop_time_s", loop_time_s)?;
+        }
+        self.add_zones(file, path.length_m)
+    }
+
+    /// The time in which the reference reaches the end of the path, and some more, in whole seconds; none
+    /// where the layers hold no speed to tell it by, which resolving them reports.
+    fn loop_time_s(&self, path: &Resampled) -> Option<f64> {
+        let at_speed_s = if path.speeds_mps.is_empty() {
+            path.length_m
+                / self.number("reference.speed_mps").filter(|speed_mps| *speed_mps > 0.0)?
+        } else {
+            path.time_s
+        };
+        let ramp_s = self.number("reference.ramp_s").filter(|ramp_s| *ramp_s >= 0.0)?;
+        // In the ramp the reference is as far as it would be at speed after t²/(2·ramp), behind it after
+        // t − ramp/2.
+        let end_s = if at_speed_s < 0.5 * ramp_s {
+            (2.0 * ramp_s * at_speed_s).sqrt()
+        } else {
+            at_speed_s + 0.5 * ramp_s
+        };
+        Some((end_s + AFTER_END_S).ceil().min(LONGEST_S))
+    }
+
+    /// Sets the zones from the file beside the path's, or the one zone where there is none.
+    fn add_zones(&mut self, path_file: &Path, length_m: f64) -> Result<(), ConfigError> {
+        let file = path_file.with_extension("toml");
+        if file == path_file || !file.exists() {
+            let zone = zone_value("path", 0.0);
+            return self.put(&path_file.display().to_string(), "path.zones", vec![zone]);
+        }
+        let origin = file.display().to_string();
+        let bytes = read(&file)?;
+        let at = |offset: usize| {
+            let offset = offset.min(bytes.len());
+            let line = bytes[..offset].iter().filter(|byte| **byte == b'\n').count() + 1;
+            format!("{origin}:{line}")
+        };
+        let text = std::str::from_utf8(&bytes).map_err(|error| {
+            let problem = "is not UTF-8 text; save the file as UTF-8";
+            ConfigError::new(at(error.valid_up_to()), "", problem)
+        })?;
+        let zones: ZonesFile = toml::from_str(text).map_err(|error| {
+            let problem = format!(
+                "{}; beside a path's file stands [[zones]] with name and from_m, and nothing else",
+                error.message()
+            );
+            ConfigError::new(at(error.span().map_or(0, |span| span.start)), "", problem)
+        })?;
+        for (index, zone) in zones.zones.iter().enumerate() {
+            let from_m = zone.get_ref().from_m;
+            if from_m >= length_m {
+                let key = format!("path.zones[{index}].from_m");
+                let problem = format!("is {from_m}, and the path ends at {length_m:.2} m");
+                return Err(ConfigError::new(at(zone.span().start), key, problem));
+            }
+        }
+        let values: Vec<_> = zones
+            .zones
+            .iter()
+            .map(|zone| zone_value(&zone.get_ref().name, zone.get_ref().from_m))
+            .collect();
+        self.put(&origin, "path.zones", values)?;
+        for (index, zone) in zones.zones.iter().enumerate() {
+            self.note_origin(format!("path.zones[{index}]"), at(zone.span().start));
+        }
+        Ok(())
+    }
+}
+
+fn zone_value(name: &str, from_m: f64) -> Value {
+    let mut zone = Table::new();
+    zone.insert("name".to_owned(), Value::String(name.to_owned()));
+    zone.insert("from_m".to_owned(), Value::Float(from_m));
+    Value::Table(zone)
+}
+
+/// Reads a file that is small enough to be one of ours.
+fn read(file: &Path) -> Result<Vec<u8>, ConfigError> {
+    let origin = file.display().to_string();
+    let unreadable = |error: std::io::Error| {
+        let problem = format!("cannot be read: {error}; name a CSV file with columns x_m,y_m");
+        ConfigError::new(&origin, "", problem)
+    };
+    let mut bytes = Vec::new();
+    let opened = fs::File::open(file).map_err(unreadable)?;
+    opened.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        let problem = format!("holds more than {} MiB; thin the points out", MAX_FILE_BYTES >> 20);
+        return Err(ConfigError::new(&origin, "", problem));
+    }
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::RunConfig;
+    use proptest::prelude::*;
+    use std::path::PathBuf;
+
+    fn own_path(file: &Path) -> Result<Layers, ConfigError> {
+        let mut layers = Layers::own_path();
+        layers.add_path(file)?;
+        Ok(layers)
+    }
+
+    /// A folder with a path's file, and the zones' file if there is one.
+    fn folder(path: &str, zones: Option<&str>) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("slalom.csv");
+        fs::write(&file, path).unwrap();
+        if let Some(zones) = zones {
+            fs::write(folder.path().join("slalom.toml"), zones).unwrap();
+        }
+        (folder, file)
+    }
+
+    fn resolve(path: &str, zones: Option<&str>) -> Result<RunConfig, ConfigError> {
+        let (_folder, file) = folder(path, zones);
+        own_path(&file)?.resolve()
+    }
+
+    /// The file of a curve with this many points, its y and v as functions of x.
+    fn curve(count: usize, step_m: f64, y_m: impl Fn(f64) -> f64) -> String {
+        let rows = (0..count).map(|index| {
+            let x_m = index as f64 * step_m;
+            format!("{x_m},{}\n", y_m(x_m))
+        });
+        std::iter::once("x_m,y_m\n".to_owned()).chain(rows).collect()
+    }
+
+    const STRAIGHT: &str = "x_m,y_m\n1,2\n1,5\n1,12\n";
+
+    #[test]
+    fn a_path_comes_with_start_zone_and_time() {
+        let config = resolve(STRAIGHT, None).unwrap();
+        assert_eq!(config.maneuver, "path");
+        assert_eq!((config.path.pieces.len(), config.path.points.len()), (0, 41));
+        assert_eq!((config.path.points[0], config.path.points[40]), ([1.0, 2.0], [1.0, 12.0]));
+        assert_eq!((config.path.start.x_m, config.path.start.y_m), (1.0, 2.0));
+        assert_eq!(config.path.start.yaw_rad, std::f64::consts::FRAC_PI_2);
+        assert_eq!(config.path.zones, [ZoneConfig { name: "path".to_owned(), from_m: 0.0 }]);
+        // 10 m at 1.5 m/s take 6.67 s, the ramp 0.5 s more, and 5 s behind the end.
+        assert_eq!(config.drive.loop_time_s, 13.0);
+        let faster = resolve("x_m,y_m,v_mps\n0,0,2\n5,0,4\n10,0,4\n", None).unwrap();
+        assert_eq!(faster.drive.loop_time_s, 9.0);
+        assert_eq!(faster.path.speeds_mps.len(), 41);
+        assert_eq!((faster.path.speeds_mps[10], faster.path.speeds_mps[30]), (3.0, 4.0));
+    }
+
+    #[test]
+    fn a_path_lies_on_any_manoeuvre_and_takes_its_speed() {
+        let (_folder, file) = folder(STRAIGHT, None);
+        let mut layers = Layers::maneuver("roundabout").unwrap();
+        layers.set("reference.speed_mps=0.01").unwrap();
+        layers.add_path(&file).unwrap();
+        let config = layers.resolve().unwrap();
+        assert_eq!((config.maneuver.as_str(), config.drive.loop_time_s), ("roundabout", 1006.0));
+        let mut slow = Layers::maneuver("lane_change").unwrap();
+        slow.set("reference.speed_mps=0.001").unwrap();
+        slow.add_path(&file).unwrap();
+        assert_eq!(slow.resolve().unwrap().drive.loop_time_s, 3600.0);
+        let mut none = Layers::maneuver("lane_change").unwrap();
+        none.set("reference.speed_mps=0.0").unwrap();
+        none.add_path(&file).unwrap();
+        assert!(none.resolve().unwrap_err().to_string().contains("reference.speed_mps"));
+    }
+
+    #[test]
+    fn a_resolved_path_is_a_layer_that_changes_nothing() {
+        let text = curve(80, 0.7, |x_m| 2.0 * libm::sin(0.2 * x_m));
+        let (_folder, file) = folder(&text, Some("[[zones]]\nname='a'\nfrom_m=0\n"));
+        let config = own_path(&file).unwrap().resolve().unwrap();
+        let text = toml::to_string(&config).unwrap();
+        let mut again = own_path(&file).unwrap();
+        again.add_document("resolved.toml", &text).unwrap();
+        assert_eq!(again.resolve().unwrap(), config);
+        assert_eq!(RunConfig::from_resolved(&text).unwrap(), config);
+    }
+
+    #[test]
+    fn later_errors_name_the_file_s_line() {
+        let corner = "x_m,y_m\n0,0\n1,0\n2,0\n3,0\n# corner\n3,1\n3,2\n3,3\n";
+        let message = resolve(corner, None).unwrap_err().to_string();
+        assert!(message.contains("slalom.csv:") && message.contains("path.points["), "{message}");
+        let line: usize = message.split("slalom.csv:").nth(1).unwrap()[..1].parse().unwrap();
+        assert!((4..=5).contains(&line), "{message}");
+        // What lies on top of the path is to blame for itself.
+        let (_folder, file) = folder(STRAIGHT, None);
+        let mut layers = own_path(&file).unwrap();
+        layers.add_document("my.toml", "[path]\npoints = [[1, 2], [1, 2]]").unwrap();
+        let message = layers.resolve().unwrap_err().to_string();
+        assert!(message.starts_with("my.toml:2: path.points[1]: "), "{message}");
+        let mut layers = own_path(&file).unwrap();
+        layers.set("path.pieces=[{kind='straight',length_m=1.0}]").unwrap();
+        assert!(layers.resolve().unwrap_err().to_string().contains("path.points: stands beside"));
+    }
+
+    #[test]
+    fn zones_stand_in_a_file_beside_it() {
+        let zones =
+            "[[zones]]\nname = \"in\"\nfrom_m = 0\n\n[[zones]]\nname = \"out\"\nfrom_m = 4.5\n";
+        let config = resolve(STRAIGHT, Some(zones)).unwrap();
+        assert_eq!(config.path.zones[1], ZoneConfig { name: "out".to_owned(), from_m: 4.5 });
+        let check = |zones: &str, parts: &[&str]| {
+            let message = resolve(STRAIGHT, Some(zones)).unwrap_err().to_string();
+            for part in parts {
+                assert!(message.contains(part), "{message:?} lacks {part:?}");
+            }
+            assert!(!message.contains('\n'), "{message:?}");
+        };
+        check("[[zones]]\nname = 'a'\n", &["slalom.toml:1", "from_m", "[[zones]]"]);
+        check("[[zones]]\nname='a'\nfrom_m=0\nto_m=3\n", &["slalom.toml:4", "to_m"]);
+        check("speed = 3\n", &["slalom.toml:1", "speed", "[[zones]]"]);
+        check("\n[[zones]\n", &["slalom.toml:2"]);
+        check("zones = []\n", &["slalom.toml", "path.zones", "empty"]);
+        check("[[zones]]\nname='a'\nfrom_m=1\n", &["slalom.toml:1", "path.zones[0].from_m"]);
+        check(
+            "[[zones]]\nname='a'\nfrom_m=0\n[[zones]]\nname='b'\nfrom_m=nan\n",
+            &["slalom.toml:4", "path.zones[1].from_m", "NaN"],
+        );
+        check(
+            "[[zones]]\nname='a'\nfrom_m=0\n[[zones]]\nname='b'\nfrom_m=11\n",
+            &["slalom.toml:4", "path.zones[1].from_m", "ends at 10.00 m"],
+        );
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_read_says_why() {
+        let message = own_path(Path::new("/no/such.csv")).unwrap_err().to_string();
+        assert!(message.starts_with("/no/such.csv: cannot be read: "), "{message}");
+        let folder = tempfile::tempdir().unwrap();
+        assert!(own_path(folder.path()).unwrap_err().to_string().contains("cannot be read"));
+    }
+
+    #[test]
+    fn a_coarse_circle_stays_a_circle() {
+        for count in [6, 9, 20] {
+            for closed in [true, false] {
+                let turns = if closed { 1.0 } else { 0.7 };
+                let points: Vec<_> = (0..=count)
+                    .map(|index| {
+                        let share = if closed { index % count } else { index } as f64;
+                        let angle = std::f64::consts::TAU * turns * share / f64::from(count);
+                        [10.0 * libm::cos(angle), 10.0 * libm::sin(angle)]
+                    })
+                    .collect();
+                let path = resample(&points, &[], MAX_POINTS);
+                for [x_m, y_m] in &path.points {
+                    let off_m = libm::hypot(*x_m, *y_m) - 10.0;
+                    assert!(off_m.abs() < 1e-2, "{count} points: {off_m} m");
+                }
+                assert!(
+                    (path.length_m / (std::f64::consts::TAU * 10.0 * turns) - 1.0).abs() < 1e-3
+                );
+                assert!((path.yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn the_longest_path_is_resampled_more_coarsely() {
+        let path = resample(&[[0.0, 0.0], [1e5, 0.0]], &[], MAX_POINTS);
+        assert_eq!(path.points.len(), MAX_POINTS);
+    }
+
+    proptest! {
+        #[test]
+        fn points_are_evenly_spaced_with_exact_ends(
+            steps in prop::collection::vec((0.3..3.0f64, -0.3..0.3f64, 0.1..50.0f64), 2..40),
+        ) {
+            let (mut at, mut heading) = ([3.0, -7.0], 1.0);
+            let (mut points, mut speeds) = (vec![at], vec![2.0]);
+            for (step_m, turn_rad, speed_mps) in steps {
+                heading += turn_rad;
+                at = [at[0] + step_m * libm::cos(heading), at[1] + step_m * libm::sin(heading)];
+                points.push(at);
+                speeds.push(speed_mps);
+            }
+            let path = resample(&points, &speeds, MAX_POINTS);
+            prop_assert_eq!(path.points[0], points[0]);
+            prop_assert_eq!(path.points.last(), points.last());
+            prop_assert_eq!(path.speeds_mps.last(), speeds.last());
+            let step_m = path.length_m / (path.points.len() - 1) as f64;
+            for pair in path.points.windows(2) {
+                let apart_m = libm::hypot(pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]);
+                prop_assert!(apart_m < step_m * 1.0001 && apart_m > step_m * 0.95, "{apart_m} {step_m}");
+            }
+            let (low, high) = (speeds.iter().copied().fold(50.0, f64::min), 50.0);
+            prop_assert!(path.speeds_mps.iter().all(|v| (low..=high).contains(v)));
+            prop_assert!(path.given.windows(2).all(|pair| pair[0] <= pair[1]));
+        }
+    }
+}

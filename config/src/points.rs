@@ -1,0 +1,189 @@
+//! What must hold for a path through points: their number, their speeds, and curves that the vehicle can drive.
+
+use crate::validate::{Problem, above, within};
+use crate::{PathConfig, Vehicle};
+
+/// The most points of a path: at a quarter of a metre, 25 km.
+pub(crate) const MAX_POINTS: usize = 100_000;
+
+/// How far the start may lie from the first point: far below anything that matters, far above rounding.
+const START_TOLERANCE_M: f64 = 1e-3;
+
+/// By how much a curve may be tighter than the vehicle's tightest, which rounded points of just that circle
+/// would otherwise exceed.
+const CURVATURE_MARGIN: f64 = 1.005;
+
+/// Finds the first problem of a path's points, as (dotted key, problem); nothing where it is made of pieces.
+pub(crate) fn validate(path: &PathConfig, vehicle: &Vehicle) -> Result<(), Problem> {
+    let PathConfig { start, pieces, points, speeds_mps, .. } = path;
+    let fail = |key: String, problem: String| Err((key, problem));
+    match (pieces.is_empty(), points.is_empty()) {
+        (true, true) => {
+            let problem = "is empty, and so is path.points; a path needs a piece, or 2 points";
+            return fail("path.pieces".to_owned(), problem.to_owned());
+        }
+        (false, false) => {
+            let problem =
+                "stands beside path.pieces; a path has either, so set the other one to []";
+            return fail("path.points".to_owned(), problem.to_owned());
+        }
+        (false, true) if speeds_mps.is_empty() => return Ok(()),
+        (false, true) => {
+            let problem = "needs path.points; for pieces, set reference.speed_mps";
+            return fail("path.speeds_mps".to_owned(), problem.to_owned());
+        }
+        (true, false) => {}
+    }
+    let count = points.len();
+    if !(2..=MAX_POINTS).contains(&count) {
+        let problem = format!("holds {count} points, and must hold 2 to {MAX_POINTS}");
+        return fail("path.points".to_owned(), problem);
+    }
+    for (index, [x_m, y_m]) in points.iter().enumerate() {
+        let key = format!("path.points[{index}]");
+        within(&key, *x_m, -1e6, 1e6)?;
+        within(&key, *y_m, -1e6, 1e6)?;
+        if index > 0 && points[index - 1] == [*x_m, *y_m] {
+            return fail(key, "is the point before it once more; remove one of them".to_owned());
+        }
+    }
+    if !speeds_mps.is_empty() && speeds_mps.len() != count {
+        let problem = format!("holds {} speeds for {count} points", speeds_mps.len());
+        return fail("path.speeds_mps".to_owned(), problem);
+    }
+    for (index, speed_mps) in speeds_mps.iter().enumerate() {
+        above(&format!("path.speeds_mps[{index}]"), *speed_mps, 0.0, 50.0)?;
+    }
+    let apart_m = libm::hypot(start.x_m - points[0][0], start.y_m - points[0][1]);
+    if apart_m > START_TOLERANCE_M {
+        let problem = format!("lies {apart_m:.3} m from path.points[0], where it must lie");
+        return fail("path.start".to_owned(), problem);
+    }
+    curvature(points, vehicle)
+}
+
+/// Whether the rear axle can follow the path; an error names the tightest place.
+fn curvature(points: &[[f64; 2]], vehicle: &Vehicle) -> Result<(), Problem> {
+    let sharpest = libm::tan(vehicle.steering_limit_rad) / vehicle.wheelbase_m;
+    let (mut tightest, mut curvature) = (0, 0.0);
+    for (index, here) in curvatures(points) {
+        if here > curvature {
+            (tightest, curvature) = (index, here);
+        }
+    }
+    if curvature <= sharpest * CURVATURE_MARGIN {
+        return Ok(());
+    }
+    let problem = format!(
+        "lies in a turn of radius {:.2} m, and the vehicle's least is {:.2} m (of its rear axle, by \
+         vehicle.wheelbase_m and vehicle.steering_limit_rad); widen the turn",
+        1.0 / curvature,
+        1.0 / sharpest
+    );
+    Err((format!("path.points[{tightest}]"), problem))
+}
+
+/// The absolute curvature at each point that has neighbours, by the turn between the chords to the points
+/// two before and two behind it: over one point, the decimals of a file would look like curves.
+fn curvatures(points: &[[f64; 2]]) -> impl Iterator<Item = (usize, f64)> {
+    let count = points.len();
+    let reach = if count >= 5 { 2 } else { 1 };
+    let closed = points[0] == points[count - 1] && count > 2 * reach;
+    // A closed path's last point is its first: the circle has one point less.
+    let around = if closed { count - 1 } else { count };
+    let inner = if closed { 0..around } else { reach..count.saturating_sub(reach).max(reach) };
+    inner.map(move |index| {
+        let before = points[(index + around - reach) % around];
+        let (here, behind) = (points[index], points[(index + reach) % around]);
+        let (ax, ay) = (here[0] - before[0], here[1] - before[1]);
+        let (bx, by) = (behind[0] - here[0], behind[1] - here[1]);
+        let turn_rad = libm::atan2(ax * by - ay * bx, ax * bx + ay * by).abs();
+        let chord_m = 0.5 * (libm::hypot(ax, ay) + libm::hypot(bx, by));
+        // Exact on a circle: its chord is 2R·sin(half the angle), and the turn is the angle.
+        (index, 2.0 * libm::sin(0.5 * turn_rad) / chord_m.max(f64::MIN_POSITIVE))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Layers, RunConfig};
+
+    fn resolve(points: &str, sets: &[&str]) -> Result<RunConfig, crate::ConfigError> {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set("path.pieces=[]").unwrap();
+        layers.set(&format!("path.points={points}")).unwrap();
+        for set in sets {
+            layers.set(set).unwrap();
+        }
+        layers.resolve()
+    }
+
+    fn circle(radius_m: f64, count: usize, turns: f64) -> String {
+        let points: Vec<_> = (0..count)
+            .map(|index| {
+                let angle = std::f64::consts::TAU * turns * index as f64 / (count - 1) as f64;
+                let angle = if turns == 1.0 && index + 1 == count { 0.0 } else { angle };
+                [radius_m * libm::sin(angle), radius_m * (1.0 - libm::cos(angle))]
+            })
+            .collect();
+        format!("{points:?}")
+    }
+
+    #[test]
+    fn mistakes_name_the_point() {
+        let check = |points: &str, sets: &[&str], parts: &[&str]| {
+            let message = resolve(points, sets).unwrap_err().to_string();
+            for part in parts {
+                assert!(message.contains(part), "{message:?} lacks {part:?}");
+            }
+        };
+        check("[]", &[], &["path.pieces", "2 points"]);
+        check("[]", &["path.speeds_mps=[1.0]"], &["path.pieces", "2 points"]);
+        check("[[0,0]]", &[], &["path.points", "1 points", "2 to 100000"]);
+        check("[[0,0],[1,0,0]]", &[], &["path.points[1]"]);
+        check("[[0,0],['a',0]]", &[], &["path.points[1]", "string"]);
+        check("[[0,0],[nan,0]]", &[], &["path.points[1]", "NaN"]);
+        check("[[0,0],[0,-inf]]", &[], &["path.points[1]", "-inf"]);
+        check("[[0,0],[0,2e6]]", &[], &["path.points[1]", "2000000"]);
+        check("[[0,0],[0,0],[1,0]]", &[], &["path.points[1]", "once more"]);
+        check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0]"], &["path.speeds_mps", "1 speeds for 2"]);
+        check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0,0.0]"], &["path.speeds_mps[1]", "(0, 50]"]);
+        check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0,51.0]"], &["path.speeds_mps[1]", "51"]);
+        check("[[2,0],[3,0]]", &[], &["path.start", "2.000 m", "path.points[0]"]);
+        check(
+            "[[0,0],[1,0],[2,0],[3,0],[3,1],[3,2],[3,3]]",
+            &[],
+            &["path.points[3]", "radius 1.41 m", "4.98 m", "widen"],
+        );
+        // There and back again: a point alone, and on a path that is closed.
+        check("[[0,0],[1,0],[2,0],[1,0.001],[0,0.001]]", &[], &["path.points[2]", "radius"]);
+        check("[[0,0],[1,0],[2,0],[1,0],[0,0]]", &[], &["path.points[", "radius"]);
+        check(&circle(4.9, 60, 1.0), &[], &["path.points[", "radius 4.90 m"]);
+        check(&circle(4.9, 30, 0.6), &[], &["path.points[", "radius 4.90 m"]);
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set("path.speeds_mps=[1.0]").unwrap();
+        let message = layers.resolve().unwrap_err().to_string();
+        assert!(message.contains("needs path.points"), "{message}");
+    }
+
+    #[test]
+    fn what_the_vehicle_can_drive_is_no_mistake() {
+        for (radius_m, count, turns) in [(5.0, 60, 1.0), (5.0, 30, 0.6), (50.0, 9, 1.0)] {
+            resolve(&circle(radius_m, count, turns), &[]).unwrap();
+        }
+        resolve("[[0,0],[1,0]]", &["path.speeds_mps=[1.0,2]"]).unwrap();
+        resolve("[[0,0],[1,0],[2,0.01]]", &[]).unwrap();
+        resolve(&circle(4.9, 30, 0.6), &["vehicle.steering_limit_rad=0.55"]).unwrap();
+    }
+
+    #[test]
+    fn a_resolved_path_of_points_is_a_layer_that_changes_nothing() {
+        let sets = ["path.speeds_mps=[1.0,2.5,0.1]"];
+        let config = resolve("[[0,0],[1.1,0.1],[2.3,0.3333333333333333]]", &sets).unwrap();
+        let text = toml::to_string(&config).unwrap();
+        let mut again = Layers::maneuver("lane_change").unwrap();
+        again.add_document("resolved.toml", &text).unwrap();
+        assert_eq!(again.resolve().unwrap(), config);
+        assert_eq!(RunConfig::from_resolved(&text).unwrap(), config);
+    }
+}
