@@ -291,7 +291,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("p.csv");
         std::fs::write(&file, format!("x_m,y_m\n{}", rows.concat())).unwrap();
-        let config = Layers::own_path(&file).unwrap().resolve().unwrap();
+        let mut layers = Layers::own_path();
+        layers.add_path(&file).unwrap();
+        let config = layers.resolve().unwrap();
         let path = Path::new(&config.path);
         (config, path)
     }
