@@ -74,14 +74,13 @@ fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
         .into_iter()
         .filter(|value| value.is_finite())
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
-            (low.min(value), high.max(value))
+            (low.min(value.max(-HUGE)), high.max(value.min(HUGE)))
         });
     if low > high { (0.0, 1.0) } else { widened(low, high) }
 }
 
 /// The same ends, apart far enough that ticks between them differ.
 fn widened(low: f64, high: f64) -> (f64, f64) {
-    let (low, high) = (low.clamp(-HUGE, HUGE), high.clamp(-HUGE, HUGE));
     let least = (low.abs().max(high.abs()) * 1e-9).max(1e-12);
     if high - low >= least {
         return (low, high);
