@@ -23,6 +23,10 @@ impl Axis {
     /// An axis that begins and ends with the values, as time does.
     pub(crate) fn tight(values: impl IntoIterator<Item = f64>, wanted: usize) -> Self {
         let (low, high) = extent(values);
+        let step = nice_step((high - low) / wanted.max(1) as f64);
+        // A drive of 5 s ends a tick before them: the axis ends with the round number then.
+        let round = (high / step).ceil() * step;
+        let high = if round - high < 0.02 * (high - low) { round } else { high };
         Self::between(low, high, wanted)
     }
 
@@ -34,7 +38,7 @@ impl Axis {
 
     /// An axis of counts from 1: no tick lies between two of them.
     pub(crate) fn of_counts(highest: usize) -> Self {
-        Self::between(0.5, highest.max(1) as f64 + 0.5, highest.clamp(1, 8))
+        Self::between(0.5, highest.max(1) as f64 + 0.5, highest.clamp(1, 7))
     }
 
     /// An axis with these ends.
@@ -90,11 +94,12 @@ fn widened(low: f64, high: f64) -> (f64, f64) {
     (middle - half, middle + half)
 }
 
-/// The smallest of 1, 2, 5 times a power of ten that is not below `step`.
+/// The one of 1, 2, 5 times a power of ten that is nearest to `step`.
 fn nice_step(step: f64) -> f64 {
     let power = 10f64.powf(step.log10().floor());
-    let factor = [1.0, 2.0, 5.0].into_iter().find(|factor| factor * power >= step * 0.999);
-    factor.unwrap_or(10.0) * power
+    let bounds = [(1.0, 1.5), (2.0, 3.5), (5.0, 7.5)];
+    let factor = bounds.into_iter().find(|(_, most)| step <= most * power);
+    factor.map_or(10.0, |(factor, _)| factor) * power
 }
 
 fn tick_label(tick: f64, step: f64, largest: f64) -> String {

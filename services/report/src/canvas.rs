@@ -304,6 +304,8 @@ fn cut(points: &[(i32, i32)], pattern: &[f64]) -> Vec<Vec<(i32, i32)>> {
 /// A legend above the plots, row by row: it cannot cover a line.
 pub(crate) struct Legend<'a> {
     rows: Vec<Vec<(f64, &'a str, Stroke)>>,
+    /// Empty rows above.
+    spare: usize,
 }
 
 impl<'a> Legend<'a> {
@@ -324,20 +326,27 @@ impl<'a> Legend<'a> {
             x += needed;
         }
         rows.retain(|row| !row.is_empty());
-        Self { rows }
+        Self { rows, spare: 0 }
+    }
+
+    /// The same legend with the room of so many rows: plots side by side begin at one height.
+    pub(crate) fn at_least(self, rows: usize) -> Self {
+        Self { spare: rows.saturating_sub(self.rows.len()), ..self }
     }
 
     /// Room that it takes above the plots.
     pub(crate) fn height(&self) -> f64 {
-        self.rows.len() as f64 * LEGEND_ROW + 10.0
+        (self.spare + self.rows.len()) as f64 * LEGEND_ROW + 10.0
     }
 
     pub(crate) fn draw(&self, surface: &Surface) -> Drawn {
         for (index, row) in self.rows.iter().enumerate() {
-            let y = 12.0 + index as f64 * LEGEND_ROW;
+            let y = 12.0 + (self.spare + index) as f64 * LEGEND_ROW;
             for (x, label, look) in row {
                 if !look.hidden {
-                    rule(surface, (*x, y), (x + 28.0, y), look)?;
+                    // Hairlines are found in a plot by their crowd; alone they would not be seen.
+                    let look = Stroke { width: look.width.max(1.0), ..*look };
+                    rule(surface, (*x, y), (x + 28.0, y), &look)?;
                 }
                 if let Some(marker) = look.marker {
                     marker.draw(surface, (fine(x + 14.0), fine(y)), look.colour)?;

@@ -42,6 +42,8 @@ pub(crate) struct Chart<'a> {
     pub(crate) x_name: &'a str,
     pub(crate) y_name: &'a str,
     pub(crate) lines: &'a [Line],
+    /// Rows of the legend that are kept free at least.
+    pub(crate) legend_rows: usize,
     /// Borders between zones, each with its number.
     pub(crate) borders: &'a [(f64, String)],
 }
@@ -49,7 +51,7 @@ pub(crate) struct Chart<'a> {
 impl Chart<'_> {
     pub(crate) fn draw(&self) -> Result<Picture, ReportError> {
         let y = Axis::around(self.lines.iter().flat_map(|line| &line.points).map(|p| p.1), 5);
-        let legend = legend(self.lines, self.width);
+        let legend = legend(self.lines, self.width).at_least(self.legend_rows);
         let top = legend.height() + if self.borders.is_empty() { 0.0 } else { 22.0 };
         let frame =
             Frame { left: LEFT, top, width: self.width - LEFT - RIGHT, height: self.height };
@@ -74,6 +76,8 @@ pub(crate) struct Map<'a> {
     /// What the picture shows, for those who cannot see it.
     pub(crate) words: &'a str,
     pub(crate) lines: &'a [Line],
+    /// Where lines end.
+    pub(crate) ends: &'a [((f64, f64), Stroke)],
     /// Where the zones begin, each with its number.
     pub(crate) borders: &'a [(Pose, String)],
 }
@@ -90,6 +94,9 @@ impl Map<'_> {
             legend.draw(surface)?;
             let plot = Plot::new(surface, frame, (&x, "x [m]"), (&y, "y [m]"))?;
             self.lines.iter().rev().try_for_each(|line| plot.line(&line.points, &line.look))?;
+            for (end, look) in self.ends {
+                plot.line(&[*end], look)?;
+            }
             for (pose, label) in self.borders {
                 let at = plot.place((pose.x_m, pose.y_m));
                 // Pixels run downwards: to the left of the path is this way.

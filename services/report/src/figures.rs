@@ -5,8 +5,8 @@ use maud::{Markup, html};
 use tracking::{Path, Pose};
 
 use crate::ReportError;
-use crate::axis::{Axis, number};
-use crate::canvas::{DASHES, GREY, HALF, INK, NAVY, ORANGE, Stroke};
+use crate::axis::{Axis, gain};
+use crate::canvas::{DASHES, GREY, HALF, INK, Marker, NAVY, ORANGE, Stroke};
 use crate::chart::{Chart, Line, Map};
 use crate::drives::{DriveSet, Row};
 use crate::page::Page;
@@ -53,6 +53,7 @@ fn figures(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup
             x_name: "time [s]",
             y_name,
             lines,
+            legend_rows: 2,
             borders: &borders,
         }
         .draw()?;
@@ -124,11 +125,17 @@ fn figures(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup
 fn map(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup, ReportError> {
     let way = |rows: &[Row]| rows.iter().map(|row| (row.x_m, row.y_m)).collect::<Vec<_>>();
     let mut lines = Vec::new();
-    if let Some(rows) = &set.noise_free {
-        lines.push(Line::new("noise-free", way(rows), Stroke::solid(NAVY, 1.8)));
-    }
-    if let Some(rows) = &set.noisy {
-        lines.push(Line::new("noisy", way(rows), Stroke::dashed(ORANGE, 1.8, &[6.0, 2.5])));
+    let mut ends = Vec::new();
+    // Thin dashes above the solid line: both are seen where the drives go the same way.
+    for (label, rows, look, marker) in [
+        ("noisy", &set.noisy, Stroke::dashed(ORANGE, 1.5, &[5.0, 5.0]), Marker::Triangle),
+        ("noise-free", &set.noise_free, Stroke::solid(NAVY, 2.0), Marker::Disc),
+    ] {
+        let Some(rows) = rows else { continue };
+        let line = Line::new(label, way(rows), look);
+        let end = Stroke { marker: Some(marker), ..look };
+        ends.extend(line.points.last().map(|point| (*point, end)));
+        lines.push(line);
     }
     if let Some(rows) = set.noise_free.as_ref().or(set.noisy.as_ref()) {
         let reference = rows.iter().map(|row| (row.reference_x_m, row.reference_y_m));
@@ -139,15 +146,19 @@ fn map(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup, Re
         name: &format!("{}-trajectory", set.name),
         words: &format!("Trajectory of the set {} beside the reference.", set.name),
         lines: &lines,
+        ends: &ends,
         borders: &borders,
     }
     .draw()?;
-    let mut caption = "Trajectory of the tracked point (true pose) and its reference.".to_owned();
+    let mut caption = "Trajectory of the tracked point (true pose) and its reference; the markers tell where the drives ended (disc: noise-free, triangle: noisy).".to_owned();
     if !borders.is_empty() {
         let zones = config.path.zones.iter().enumerate().map(|(index, zone)| {
-            format!("{} {} from {} m", index + 1, zone.name, number(zone.from_m, 1))
+            format!("{} {} from {} m", index + 1, zone.name, gain(zone.from_m))
         });
-        caption += &format!(" Zones along the path: {}.", zones.collect::<Vec<_>>().join(", "));
+        caption += &format!(
+            " Zones along the path: {}; over time, a dotted line tells when the vehicle entered one.",
+            zones.collect::<Vec<_>>().join(", ")
+        );
     }
     Ok(page.figure(picture, &caption))
 }

@@ -143,6 +143,7 @@ fn sorted(page: &mut Page, grid: &Grid) -> Result<Option<Markup>, ReportError> {
         x_name: "rank by distance [count, logarithmic]",
         y_name: "distance [m]",
         lines: &lines,
+        legend_rows: 1,
         borders: &[],
     }
     .draw()?;

@@ -67,7 +67,7 @@ fn result(train: &Train, config: &RunConfig) -> Markup {
         let cells = Gains::NAMES.iter().zip(set.gains.to_array()).map(|(name, value)| {
             let is_on_bound = on_bound.iter().any(|bound| bound == name);
             html! {
-                td.number { @if is_on_bound { span.bound { (gain(value)) } " †" } @else { (gain(value)) } }
+                td.number { @if is_on_bound { span.bound { (gain(value)) } span.mark { "†" } } @else { (gain(value)) } }
             }
         });
         html! {
@@ -114,7 +114,7 @@ fn notes(train: &Train) -> Markup {
                 }
             }
             @if !train.on_bound.is_empty() {
-                li { "† On a bound of the grid: " (train.on_bound.join(", ")) "; better gains may lie beyond it." }
+                li { "† On a bound of the grid: " (train.on_bound.iter().map(|name| name.replacen('k', "K", 1)).collect::<Vec<_>>().join(", ")) "; better gains may lie beyond it." }
             }
             li {
                 "The distance is what the learner minimises. It hardly sees Kv, because the error along the track is not in it; "
@@ -171,6 +171,7 @@ fn learning(page: &mut Page, learners: &[Learner]) -> Result<Markup, ReportError
             x_name: "episode [count]",
             y_name,
             lines,
+            legend_rows: 1,
             borders: &[],
         }
         .draw()

@@ -62,24 +62,24 @@ fn beside(rows: &[ValidateRow], has_noisy: bool) -> Markup {
             }
             tr {
                 th { "row" } (gain_heads())
-                th.number { "ours" } th.number { "paper" } th.number { "ours / paper" }
+                th.number { "ours" } th.number { "paper" } th.number { "ours ÷ paper" }
                 @if has_noisy {
                     th.number { "ours, mean" } th.number { "from – to" } th.number { "worst" }
-                    th.number { "paper" } th.number { "ours / paper" }
+                    th.number { "paper" } th.number { "ours ÷ paper" }
                 }
             }
         },
         html! {
             @for (index, row) in rows.iter().enumerate() {
                 (row_of(index, row, html! {
-                    td.number { (number(row.noise_free.mse_m2, 4)) }
-                    td.number { (optional(row.noise_free.paper_mse_m2, 4)) }
+                    td.number { (number(row.noise_free.mse_m2, 3)) }
+                    td.number { (optional(row.noise_free.paper_mse_m2, 3)) }
                     td.number { (factor(row.noise_free.factor)) }
                     @if let Some(noisy) = &row.noisy {
-                        td.number { (number(noisy.mse_m2_mean, 4)) }
+                        td.number { (number(noisy.mse_m2_mean, 3)) }
                         td.number { (optional(noisy.mse_m2_low, 3)) " – " (optional(noisy.mse_m2_high, 3)) }
-                        td.number { (optional(noisy.mse_m2_worst, 4)) }
-                        td.number { (optional(noisy.paper_mse_m2, 4)) }
+                        td.number { (optional(noisy.mse_m2_worst, 3)) }
+                        td.number { (optional(noisy.paper_mse_m2, 3)) }
                         td.number { (factor(noisy.factor)) }
                     } @else if has_noisy {
                         @for _ in 0..5 { td.number { "–" } }
@@ -97,7 +97,7 @@ fn notes(validate: &Validate, has_noisy: bool) -> Markup {
             @if validate.rows.iter().any(|row| row.chosen_by_paper) { li { "★ The row that the paper chose." } }
             @if most > 1 { li { "A row holds one set for each manoeuvre of the path, in their order." } }
             @if let Some(rms) = validate.rms_factor {
-                li { "Over all rows our mse differs from the paper’s by a factor of " (number(rms, 2)) " (root mean square of the logarithms)." }
+                li { "Over all rows our mse differs from the paper’s by a factor of " (number(rms, 2)) ", root mean square." }
             }
             @if let Some(repeats) = validate.repeats.filter(|_| has_noisy) {
                 li { "Noisy figures are those of " (integer(repeats)) " drives a row, each with a noise of its own." }
@@ -118,8 +118,8 @@ fn more(rows: &[ValidateRow]) -> Markup {
             @for (index, row) in rows.iter().enumerate() {
                 (row_of(index, row, html! {
                     @let drive = &row.noise_free;
-                    td.number { (optional(drive.along_m2, 4)) }
-                    td.number { (optional(drive.cross_m2, 4)) }
+                    td.number { (optional(drive.along_m2, 3)) }
+                    td.number { (optional(drive.cross_m2, 3)) }
                     td.number { (optional(drive.distance, 4)) }
                     td.number { (optional(drive.max_cross_track_m, 3)) }
                     td.number { (drive.steering_limited.map_or_else(|| "–".to_owned(), |share| format!("{} %", number(share * 100.0, 1)))) }

@@ -142,7 +142,7 @@ fn a_training_shows_every_section() -> Result<()> {
         "<h2>Result</h2>",
         "tuned (educated Q)",
         "plain Q beside it",
-        "† On a bound of the grid: ks",
+        "† On a bound of the grid: Ks",
         "<h2>Learning</h2>",
         "a flat curve proves nothing",
         "<h2>Gain usage</h2>",
@@ -187,7 +187,7 @@ fn a_validation_shows_both_tables_and_the_zones() -> Result<()> {
         "<td>3 ★</td>",
         "★ The row that the paper chose.",
         "<h2>Changes of gains on the way</h2>",
-        "2 roundabout from 12.0 m",
+        "2 roundabout from 12 m",
         "<h2>Drives: chosen</h2>",
     ] {
         assert!(html.contains(section), "{section}");
