@@ -41,7 +41,7 @@ pub(crate) const PALE: RGBColor = RGBColor(0xe4, 0xe4, 0xe4);
 pub(crate) const PAPER_WHITE: RGBColor = RGBColor(0xff, 0xff, 0xff);
 pub(crate) const NAVY: RGBColor = RGBColor(0x0b, 0x3c, 0x6f);
 pub(crate) const BLUE: RGBColor = RGBColor(0x4c, 0x86, 0xb8);
-pub(crate) const ORANGE: RGBColor = RGBColor(0xf0, 0x9a, 0x3e);
+pub(crate) const ORANGE: RGBColor = RGBColor(0xe6, 0x88, 0x22);
 /// Colours that the colour-blind can tell apart, from dark to light.
 pub(crate) const COLOURS: [RGBColor; 6] = [
     RGBColor(0x0b, 0x3c, 0x6f),
