@@ -451,12 +451,19 @@ impl<'s, 'a> Plot<'s, 'a> {
         Ok(())
     }
 
-    /// A line from bottom to top, with a number above it.
-    pub(crate) fn vertical(&self, x: f64, label: &str, look: &Stroke) -> Drawn {
+    /// Lines from bottom to top, each with its number above it.
+    pub(crate) fn verticals(&self, lines: &[(f64, String)], look: &Stroke) -> Drawn {
         let Frame { top, height, .. } = self.frame;
-        let at = f64::from(self.pixel((x, 0.0)).0) / FINE;
-        rule(self.surface, (at, top), (at, top + height), look)?;
-        badge(self.surface, (at, top - 10.0), label)
+        let mut free = f64::NEG_INFINITY;
+        for (x, label) in lines {
+            let at = f64::from(self.pixel((*x, 0.0)).0) / FINE;
+            rule(self.surface, (at, top), (at, top + height), look)?;
+            // Of lines close to each other the numbers stand in a row, still in the order of the lines.
+            let beside = at.max(free);
+            badge(self.surface, (beside, top - 10.0), label)?;
+            free = beside + 18.0;
+        }
+        Ok(())
     }
 }
 

@@ -58,9 +58,7 @@ impl Chart<'_> {
         picture(self.name, self.words, (self.width, top + self.height + BOTTOM), |surface| {
             legend.draw(surface)?;
             let plot = Plot::new(surface, frame, (&self.x, self.x_name), (&y, self.y_name))?;
-            for (at, label) in self.borders {
-                plot.vertical(*at, label, &Stroke::dashed(GREY, 0.9, DASHES[2]))?;
-            }
+            plot.verticals(self.borders, &Stroke::dashed(GREY, 0.9, DASHES[2]))?;
             self.lines.iter().rev().try_for_each(|line| plot.line(&line.points, &line.look))
         })
     }
