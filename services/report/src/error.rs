@@ -1,0 +1,69 @@
+//! Why a report could not be written: always one line that names the file and what to do.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a report could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The folder does not hold a file that every ended run holds.
+    #[error("{} holds no {file}: {advice}", folder.display())]
+    Missing {
+        /// The run's folder.
+        folder: PathBuf,
+        /// The file that is not there.
+        file: &'static str,
+        /// Why it may be missing, and what to do.
+        advice: &'static str,
+    },
+    /// A file is there, but does not hold what it should.
+    #[error("{}: {problem}; the file was changed or cut off since the run, run it again", at(path, *line))]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// The line, counted from 1, where one is known.
+        line: Option<u64>,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A file could not be read.
+    #[error("failed to read {}: {problem}; check that it exists and is yours to read", path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        problem: io::Error,
+    },
+    /// A file could not be written.
+    #[error("failed to write {}: {problem}; check that the folder is yours to write and the disk not full", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        problem: io::Error,
+    },
+    /// A picture could not be drawn: a mistake of this crate, not of the files.
+    #[error("failed to draw {picture}: {problem}; please report this with the run's folder")]
+    Draw {
+        /// Name of the picture.
+        picture: String,
+        /// What the drawing library says.
+        problem: String,
+    },
+}
+
+impl ReportError {
+    /// A file that does not hold what it should; a parser's message of several lines becomes one.
+    pub(crate) fn malformed(path: &Path, line: Option<u64>, problem: impl ToString) -> Self {
+        let problem = problem.to_string();
+        let problem = problem.split_whitespace().collect::<Vec<_>>().join(" ");
+        Self::Malformed { path: path.to_owned(), line, problem }
+    }
+}
+
+fn at(path: &Path, line: Option<u64>) -> String {
+    match line {
+        Some(line) => format!("{}:{line}", path.display()),
+        None => path.display().to_string(),
+    }
+}

@@ -1,0 +1,141 @@
+//! Four small plots beside each other, one a gain; and intervals, one below the other.
+
+use crate::ReportError;
+use crate::axis::{Axis, gain};
+use crate::canvas::{
+    Anchor, BLUE, BOTTOM, Frame, GREY, LEFT, Legend, Marker, NAVY, Picture, Plot, RIGHT, Stroke,
+    Surface, WIDE, block, picture, rule, text_width, write,
+};
+
+/// One of the small plots.
+#[derive(Debug)]
+pub(crate) struct Panel {
+    /// Name of its gain, with the unit.
+    pub(crate) name: String,
+    /// Value of the gain, and the height above it.
+    pub(crate) points: Vec<(f64, f64)>,
+}
+
+/// How the heights are shown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Shown {
+    /// As bars from 0.
+    Bars,
+    /// As points on a line.
+    Points,
+}
+
+/// Small plots with one common vertical axis: they can be held against each other.
+pub(crate) fn panels(
+    name: &str,
+    words: &str,
+    y_name: &str,
+    panels: &[Panel],
+    shown: Shown,
+) -> Result<Picture, ReportError> {
+    const GAP: f64 = 14.0;
+    const TOP: f64 = 10.0;
+    const HEIGHT: f64 = 190.0;
+    let heights = panels.iter().flat_map(|panel| &panel.points).map(|point| point.1);
+    let y = match shown {
+        Shown::Bars => Axis::from_zero(heights, 4),
+        Shown::Points => Axis::around(heights, 4),
+    };
+    let count = panels.len().max(1) as f64;
+    let width = (WIDE - LEFT - RIGHT - GAP * (count - 1.0)) / count;
+    picture(name, words, (WIDE, TOP + HEIGHT + BOTTOM), |surface| {
+        for (index, panel) in panels.iter().enumerate() {
+            let left = LEFT + index as f64 * (width + GAP);
+            let frame = Frame { left, top: TOP, width, height: HEIGHT };
+            let x = places(panel, width);
+            let y_name = if index == 0 { y_name } else { "" };
+            let plot = Plot::new(surface, frame, (&x, &panel.name), (&y, y_name))?;
+            let points: Vec<(f64, f64)> =
+                panel.points.iter().enumerate().map(|(i, p)| (i as f64, p.1)).collect();
+            match shown {
+                Shown::Bars => bars(surface, &plot, &points)?,
+                Shown::Points => {
+                    let look = Stroke { marker: Some(Marker::Disc), ..Stroke::solid(NAVY, 1.4) };
+                    plot.line(&points, &look)?;
+                }
+            }
+        }
+        Ok(())
+    })
+}
+
+/// Values side by side whatever their distance: an axis of places, with as many labels as have room.
+fn places(panel: &Panel, width: f64) -> Axis {
+    let count = panel.points.len().max(1);
+    let labels: Vec<String> = panel.points.iter().map(|point| gain(point.0)).collect();
+    let widest = labels.iter().map(|label| text_width(label)).fold(10.0, f64::max) + 6.0;
+    let each = (widest * count as f64 / width).ceil().max(1.0) as usize;
+    let ticks = labels
+        .into_iter()
+        .enumerate()
+        .filter(|(index, _)| index % each == 0)
+        .map(|(index, label)| (index as f64, label))
+        .collect();
+    Axis { low: -0.6, high: count as f64 - 0.4, ticks }
+}
+
+fn bars(surface: &Surface, plot: &Plot, points: &[(f64, f64)]) -> Result<(), String> {
+    for &(at, height) in points {
+        let (corner, opposite) = (plot.place((at - 0.36, 0.0)), plot.place((at + 0.36, height)));
+        block(surface, (corner.0, opposite.1), (opposite.0, corner.1), BLUE)?;
+    }
+    Ok(())
+}
+
+/// A mean and its interval.
+#[derive(Debug)]
+pub(crate) struct Interval {
+    pub(crate) label: String,
+    pub(crate) mean: f64,
+    pub(crate) low: f64,
+    pub(crate) high: f64,
+}
+
+/// Means with their intervals, one below the other.
+pub(crate) fn intervals(
+    name: &str,
+    words: &str,
+    x_name: &str,
+    rows: &[Interval],
+) -> Result<Picture, ReportError> {
+    const ROW: f64 = 24.0;
+    let x = Axis::around(rows.iter().flat_map(|row| [row.mean, row.low, row.high]), 7);
+    // Rows are written from top to bottom, so that the axis runs upwards from the last one.
+    let y = Axis { low: -0.7, high: rows.len() as f64 - 0.3, ticks: Vec::new() };
+    let labels = rows.iter().map(|row| text_width(&row.label)).fold(0.0, f64::max) + 16.0;
+    let look = Stroke { marker: Some(Marker::Disc), ..Stroke::solid(NAVY, 1.8) };
+    let legend = Legend::new([("mean and its interval", look)], WIDE);
+    let frame = Frame {
+        left: labels,
+        top: legend.height(),
+        width: WIDE - labels - RIGHT,
+        height: ROW * rows.len() as f64 + 10.0,
+    };
+    let size = (WIDE, frame.top + frame.height + BOTTOM);
+    picture(name, words, size, |surface| {
+        legend.draw(surface)?;
+        let plot = Plot::new(surface, frame, (&x, x_name), (&y, ""))?;
+        for (index, row) in rows.iter().enumerate() {
+            let height = (rows.len() - 1 - index) as f64;
+            let (from, to) = (plot.place((row.low, height)), plot.place((row.high, height)));
+            write(surface, &row.label, (frame.left - 8.0, from.1), Anchor::End)?;
+            rule(
+                surface,
+                (frame.left, from.1),
+                (from.0, from.1),
+                &Stroke::dashed(GREY, 0.6, &[1.0, 4.0]),
+            )?;
+            for end in [from, to] {
+                rule(surface, (end.0, end.1 - 4.0), (end.0, end.1 + 4.0), &look)?;
+            }
+            rule(surface, from, to, &look)?;
+            plot.line(&[(row.mean, height)], &look)?;
+        }
+        Ok(())
+    })
+}
