@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use clap::Parser;
 use clap::error::ErrorKind;
-use orchestrator::Failure;
 use orchestrator::cli::{Cli, Command, HopArg, ServiceCommand};
+use orchestrator::{Ended, Failure};
 use runtime::ring::Hop;
 
 fn main() -> ExitCode {
@@ -30,10 +30,12 @@ fn main() -> ExitCode {
         }
     };
     let result = match cli.command {
-        Command::Train(args) => orchestrator::train(&args).map(|_| ()),
-        Command::Validate(args) => orchestrator::validate(&args).map(|_| ()),
-        Command::Grid(args) => orchestrator::grid(&args).map(|_| ()),
-        Command::Report { .. } => Ok(()),
+        Command::Train(args) => orchestrator::train(&args).and_then(draw),
+        Command::Validate(args) => orchestrator::validate(&args).and_then(draw),
+        Command::Grid(args) => orchestrator::grid(&args).and_then(draw),
+        Command::Report { run } => report::write_report(&run)
+            .map_err(|why| Failure::User(why.to_string()))
+            .and_then(|page| orchestrator::print_line(&page.display().to_string())),
         Command::Bench(args) => orchestrator::bench(&args),
         Command::Status { json } => orchestrator::status(json),
         Command::Stop { run } => orchestrator::stop(run.as_deref()),
@@ -52,6 +54,12 @@ fn main() -> ExitCode {
             ExitCode::from(failure.code())
         }
     }
+}
+
+/// Draws the report of a run that has just ended, and names it.
+fn draw(ended: Ended) -> Result<(), Failure> {
+    let report = report::write_report(&ended.folder).map_err(|why| why.to_string());
+    orchestrator::name_files(&ended, report)
 }
 
 fn serve(service: ServiceCommand) -> anyhow::Result<()> {

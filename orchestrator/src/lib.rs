@@ -30,6 +30,7 @@ pub use bench::bench;
 pub use failure::Failure;
 pub use housekeeping::{clean, doctor, logs, status, stop};
 pub use presets::show_config;
+pub use setup::{Ended, name_files};
 pub use sweep::{grid, validate};
-pub use terminal::{print_failure, print_usage_error};
+pub use terminal::{print_failure, print_line, print_usage_error};
 pub use train::train;

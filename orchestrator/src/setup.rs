@@ -12,6 +12,7 @@ use runtime::run::sweep_dead_runs;
 use crate::cli::SetupArgs;
 use crate::pipeline::{Interrupts, Plan};
 use crate::restart::Budget;
+use crate::terminal::{say, tell};
 use crate::{Failure, preflight};
 
 /// The layers that every command shares: manoeuvre or own path, vehicle, file, single keys.
@@ -71,6 +72,34 @@ pub(crate) enum Folder<'a> {
 pub(crate) struct Ready {
     pub(crate) plan: Plan,
     _lock: fs::File,
+}
+
+/// A run that has come to its end.
+#[derive(Debug)]
+pub struct Ended {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// Standard output belongs to its JSON.
+    pub json: bool,
+}
+
+/// Names the files of an ended run that people will want to open.
+///
+/// # Errors
+/// If standard output does not take it.
+pub fn name_files(ended: &Ended, report: Result<PathBuf, String>) -> Result<(), Failure> {
+    let here = std::env::current_dir().unwrap_or_default();
+    let near = |path: &Path| path.strip_prefix(&here).unwrap_or(path).display().to_string();
+    match (report, ended.json) {
+        // The result stands, whatever becomes of its pictures.
+        (Err(why), _) => tell!("pathtune: no report: {why}"),
+        (Ok(report), true) => tell!("report: {}", near(&report)),
+        (Ok(report), false) => {
+            say!("result: {}", near(&ended.folder.join("result.json")));
+            say!("report: {}", near(&report));
+        }
+    }
+    Ok(())
 }
 
 /// Checks what a run needs of the machine, and makes its folder.

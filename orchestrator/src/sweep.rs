@@ -1,7 +1,5 @@
 //! `pathtune validate` and `pathtune grid`: lists of drives through the pipeline, and their tables.
 
-use std::path::PathBuf;
-
 use anyhow::Context;
 use config::{Gains, MAX_FLEET, RunConfig, SweepKind, SweepPlan};
 use serde_json::Value;
@@ -9,16 +7,16 @@ use serde_json::Value;
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
 use crate::pipeline::Interrupts;
 use crate::result::write_result;
-use crate::setup::{self, Folder};
+use crate::setup::{self, Ended, Folder};
 use crate::terminal::say;
 use crate::train::run_or_unmake;
 use crate::{Failure, tables};
 
-/// Drives the paper's gain sets, or the user's, without noise and with it. Returns the run's folder.
+/// Drives the paper's gain sets, or the user's, without noise and with it.
 ///
 /// # Errors
 /// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
-pub fn validate(args: &ValidateArgs) -> Result<PathBuf, Failure> {
+pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
     let interrupted = Interrupts::new()?;
     let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup)?;
     // Whether a drive leaves the road is part of what a validation tells.
@@ -40,11 +38,11 @@ pub fn validate(args: &ValidateArgs) -> Result<PathBuf, Failure> {
     sweep(&args.setup, config, plan, &name, interrupted, "validate", tables::print_validation)
 }
 
-/// Drives every gain set of the grid without noise. Returns the run's folder.
+/// Drives every gain set of the grid without noise.
 ///
 /// # Errors
 /// As [`validate`].
-pub fn grid(args: &GridArgs) -> Result<PathBuf, Failure> {
+pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
     let interrupted = Interrupts::new()?;
     let mut config = setup::layers(args.maneuver.as_deref(), &args.setup)?.resolve()?;
     let sets = parse_sets(&args.gains, &config)?;
@@ -91,7 +89,7 @@ fn sweep(
     interrupted: Interrupts,
     kind: &str,
     print: fn(&RunConfig, &Value) -> Result<(), Failure>,
-) -> Result<PathBuf, Failure> {
+) -> Result<Ended, Failure> {
     let launch = setup::launch(args, Some("schedule"))?;
     let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(name), interrupted)?;
     let facts = run_or_unmake(&ready, true)?;
@@ -102,5 +100,5 @@ fn sweep(
     } else {
         print(&plan.config, &result)?;
     }
-    Ok(plan.folder.clone())
+    Ok(Ended { folder: plan.folder.clone(), json: args.json })
 }

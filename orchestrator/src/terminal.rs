@@ -26,6 +26,14 @@ pub(crate) fn write_out(line: &str) -> Result<(), Failure> {
     }
 }
 
+/// Prints what a command has come to.
+///
+/// # Errors
+/// If standard output does not take it.
+pub fn print_line(line: &str) -> Result<(), Failure> {
+    write_out(line)
+}
+
 /// A line on standard error.
 pub(crate) fn write_err(line: &str) {
     let _ = writeln!(io::stderr(), "{line}");

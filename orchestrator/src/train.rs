@@ -1,7 +1,7 @@
 //! `pathtune train`: from options to a result.
 
 use std::fs::{self, File, OpenOptions};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Mutex;
 
 use anyhow::Context;
@@ -13,15 +13,15 @@ use crate::cli::{TrainArgs, TunerArg};
 use crate::pipeline::{Interrupts, Pipeline, Plan, log_of_orchestrator};
 use crate::progress::Progress;
 use crate::result::{RunFacts, write_result};
-use crate::setup::{self, Folder, Ready};
+use crate::setup::{self, Ended, Folder, Ready};
 use crate::terminal::say;
 use crate::{Failure, preflight, tables};
 
-/// Trains a manoeuvre to its end, or goes on with a training that was interrupted. Returns its folder.
+/// Trains a manoeuvre to its end, or goes on with a training that was interrupted.
 ///
 /// # Errors
 /// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
-pub fn train(args: &TrainArgs) -> Result<PathBuf, Failure> {
+pub fn train(args: &TrainArgs) -> Result<Ended, Failure> {
     // First of all: from here on a signal ends in order.
     let interrupted = Interrupts::new()?;
     let (config, launch) = match &args.resume {
@@ -42,7 +42,7 @@ pub fn train(args: &TrainArgs) -> Result<PathBuf, Failure> {
     } else {
         tables::print_training(&plan.config, &result)?;
     }
-    Ok(plan.folder.clone())
+    Ok(Ended { folder: plan.folder.clone(), json: args.setup.json })
 }
 
 /// Runs a plan. If that fails by the user's mistake, a folder that is `new` is removed again.

@@ -5,7 +5,7 @@ use maud::{Markup, html};
 
 use crate::ReportError;
 use crate::axis::{Axis, integer, number};
-use crate::canvas::{BLUE, COLOURS, Marker, NAVY, Stroke, WIDE};
+use crate::canvas::{COLOURS, Marker, NAVY, Stroke, WIDE};
 use crate::chart::{Chart, Line};
 use crate::page::{GAIN_UNITS, Page, gain_cells, gain_heads, table};
 use crate::panels::{Panel, Shown, panels};
@@ -98,38 +98,21 @@ fn flatness(size: u64, rows: &[Flatness]) -> Markup {
     )
 }
 
-/// The distances in their order, as far as the result tells them: the best sets, those with a name, and how many lie within
-/// a share of the best.
+/// The distances of all sets in their order, and where the sets with a name stand among them.
 fn sorted(page: &mut Page, grid: &Grid) -> Result<Option<Markup>, ReportError> {
-    let Some(best) = grid.best_by_distance.first() else { return Ok(None) };
-    let mut points: Vec<(f64, f64)> = grid
-        .best_by_distance
-        .iter()
-        .enumerate()
-        .map(|(index, set)| ((index + 1) as f64, set.distance))
-        .collect();
-    let told = points.len() as f64;
-    let bounds: Vec<(f64, f64)> = grid
-        .flatness
-        .iter()
-        .filter_map(|row| Some((row.sets_by_distance? as f64, best.distance * (1.0 + row.within))))
-        .filter(|bound| bound.0 > told)
-        .collect();
-    let mut lines = Vec::new();
+    if grid.distances.is_empty() {
+        return Ok(None);
+    }
+    let mut distances = grid.distances.clone();
+    distances.sort_by(f64::total_cmp);
+    let points = distances.iter().enumerate().map(|(place, it)| ((place + 1) as f64, *it));
+    let mut lines = vec![Line::new("all sets", points, Stroke::solid(NAVY, 1.4))];
     for (index, named) in grid.sets.iter().enumerate() {
         let Some(rank) = named.set.rank_distance else { continue };
         let marker = Some(Marker::ALL[(index + 2) % Marker::ALL.len()]);
         let colour = COLOURS[(index + 1) % COLOURS.len()];
         let look = Stroke { marker, hidden: true, ..Stroke::solid(colour, 1.0) };
         lines.push(Line::new(named.name.clone(), [(rank as f64, named.set.distance)], look));
-    }
-    points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let look = Stroke { marker: Some(Marker::Disc), ..Stroke::solid(NAVY, 1.4) };
-    lines.push(Line::new("the best sets", points, look));
-    if !bounds.is_empty() {
-        let look =
-            Stroke { marker: Some(Marker::Square), hidden: true, ..Stroke::solid(BLUE, 1.0) };
-        lines.push(Line::new("so many sets are at least this good", bounds, look));
     }
     for line in &mut lines {
         line.points.iter_mut().for_each(|point| point.0 = point.0.max(1.0).log10());

@@ -221,6 +221,9 @@ pub(crate) struct Grid {
     pub(crate) flatness: Vec<Flatness>,
     #[serde(default)]
     pub(crate) main_effects: BTreeMap<String, MainEffect>,
+    /// Of every set, in the order of the grid.
+    #[serde(default)]
+    pub(crate) distances: Vec<f64>,
 }
 
 #[derive(Debug, Deserialize)]
