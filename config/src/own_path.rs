@@ -12,7 +12,7 @@ use crate::presets::OWN_PATH;
 use crate::resample::{Resampled, resample};
 use crate::{ConfigError, Layers, ZoneConfig, path_file};
 
-/// The largest file that is read: a hundred times the longest path at its densest use.
+/// The largest file that is read: a million rows of many columns, so that a wrong file is not read for minutes.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 /// Time that the vehicle has to reach the end once the reference is there.
 const AFTER_END_S: f64 = 5.0;
@@ -43,7 +43,8 @@ impl Layers {
     /// At the first mistake in either file, with its line and what to do about it.
     pub fn add_path(&mut self, file: &Path) -> Result<(), ConfigError> {
         let origin = file.display().to_string();
-        let given = path_file::parse(&origin, &read(file)?)?;
+        let given =
+            path_file::parse(&origin, &read(file, "name a CSV file with columns x_m,y_m")?)?;
         let path = resample(&given.points, &given.speeds_mps, MAX_POINTS);
 
         let floats =
@@ -98,7 +99,7 @@ impl Layers {
             return self.put(&path_file.display().to_string(), "path.zones", vec![zone]);
         }
         let origin = file.display().to_string();
-        let bytes = read(&file)?;
+        let bytes = read(&file, "it stands beside the path's file; mend or remove it")?;
         let at = |offset: usize| {
             let offset = offset.min(bytes.len());
             let line = bytes[..offset].iter().filter(|byte| **byte == b'\n').count() + 1;
@@ -144,10 +145,10 @@ fn zone_value(name: &str, from_m: f64) -> Value {
 }
 
 /// Reads a file that is small enough to be one of ours.
-fn read(file: &Path) -> Result<Vec<u8>, ConfigError> {
+fn read(file: &Path, hint: &str) -> Result<Vec<u8>, ConfigError> {
     let origin = file.display().to_string();
     let unreadable = |error: std::io::Error| {
-        let problem = format!("cannot be read: {error}; name a CSV file with columns x_m,y_m");
+        let problem = format!("cannot be read: {error}; {hint}");
         ConfigError::new(&origin, "", problem)
     };
     let mut bytes = Vec::new();

@@ -146,8 +146,8 @@ fn headings(points: &[[f64; 2]]) -> Vec<f64> {
         heading(if turns_back { a } else { tangent })
     };
     let mut headings = vec![0.0; points.len()];
-    for index in 1..last {
-        headings[index] = inner(points[index - 1], points[index], points[index + 1]);
+    for (three, heading) in points.windows(3).zip(&mut headings[1..]) {
+        *heading = inner(three[0], three[1], three[2]);
     }
     let (first_chord, last_chord) =
         (heading(chord(points[0], points[1])), heading(chord(points[last - 1], points[last])));

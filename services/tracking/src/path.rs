@@ -216,14 +216,12 @@ fn arcs_through(points: &[[f64; 2]]) -> Vec<Segment> {
         let turn_rad = wrap_angle(chords[behind].1 - chords[before].1);
         2.0 * turn_rad / (chords[before].0 + chords[behind].0)
     };
-    let mut bends = vec![0.0; count + 1];
-    for index in 1..count {
-        bends[index] = bend(index - 1, index);
-    }
-    let closed = points[0] == points[count];
-    // A circle closed on itself bends at the seam as anywhere; an open end as beside it.
-    bends[0] = if closed { bend(count - 1, 0) } else { bends[1] };
-    bends[count] = if closed { bends[0] } else { bends[count - 1] };
+    // A circle closed on itself bends at the seam as anywhere; an open end as beside it, a lone chord not at all.
+    let seam = (points[0] == points[count]).then(|| bend(count - 1, 0));
+    let inner: Vec<_> = (1..count).map(|index| bend(index - 1, index)).collect();
+    let end = |beside: Option<&f64>| seam.or(beside.copied()).unwrap_or(0.0);
+    let (first, last) = (end(inner.first()), end(inner.last()));
+    let bends: Vec<_> = std::iter::once(first).chain(inner).chain([last]).collect();
 
     let mut segments = Vec::with_capacity(count);
     let (mut from_m, mut heading_rad) = (0.0, chords[0].1);

@@ -199,6 +199,30 @@ mod tests {
     }
 
     #[test]
+    fn a_file_s_drive_lasts_until_the_reference_is_at_the_end_and_5_s_more() {
+        let check = |path: &str, ramp_s: &str| {
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("p.csv");
+            std::fs::write(&file, path).unwrap();
+            let mut layers = Layers::maneuver("lane_change").unwrap();
+            layers.set(&format!("reference.ramp_s={ramp_s}")).unwrap();
+            layers.add_path(&file).unwrap();
+            let config = layers.resolve().unwrap();
+            let mut reference = Reference::new(&config);
+            let end = (0..config.ticks()).find(|tick| {
+                reference.advance(*tick, Pose::default());
+                reference.at_end()
+            });
+            let rest_s = config.drive.loop_time_s - 0.01 * end.unwrap() as f64;
+            assert!((4.98..6.0).contains(&rest_s), "{path:?} {ramp_s}: {rest_s} s");
+        };
+        for ramp_s in ["0.0", "1.0", "20.0", "60.0"] {
+            check("x_m,y_m\n0,0\n7,0\n14,1\n", ramp_s);
+            check("x_m,y_m,v_mps\n0,0,0.2\n7,0,8\n14,1,0.3\n", ramp_s);
+        }
+    }
+
+    #[test]
     fn an_even_profile_is_a_set_speed() {
         let (mut profile, mut set) = (straight(1.0, |_| 1.5), straight(1.0, |_| 1.5));
         set.timetable = None;
