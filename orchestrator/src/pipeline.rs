@@ -33,6 +33,9 @@ use crate::sequencer::Sequencer;
 
 /// A batch without a tick for so long has lost a message; progress is told with each sign of life.
 const STALLED_AFTER_NS: u64 = 500_000_000;
+/// Stalls of one batch in a row before it is given up: what repairs a lost message has then not helped, and
+/// will not.
+const STALLS_IN_A_ROW: u32 = 100;
 /// A process that was asked to stop gets this long.
 const STOPS_WITHIN: Duration = Duration::from_secs(5);
 /// Longest sleep of the orchestrator: deaths and messages wake it, deadlines do not.
@@ -98,6 +101,8 @@ pub(crate) struct Pipeline<'a> {
     /// The latest batch and tick that anybody reported, and when anybody's last changed.
     seen: (u64, u64),
     seen_ns: u64,
+    /// Attempts at the batch under way that stalled.
+    stalls_in_a_row: u32,
     random_kills: RandomKills,
     recoveries: Recoveries,
     state_file: StateFile,
@@ -161,6 +166,7 @@ impl<'a> Pipeline<'a> {
             batch_is_broken: false,
             seen: (0, 0),
             seen_ns: 0,
+            stalls_in_a_row: 0,
             random_kills,
             recoveries: Recoveries::default(),
             state_file: StateFile::new(names, plan),
@@ -196,7 +202,7 @@ impl<'a> Pipeline<'a> {
             }
             let mut heard = self.hear_status()?;
             self.look_after_members()?;
-            self.look_after_batch();
+            self.look_after_batch()?;
             heard |= self.hear_trainer()?;
             heard |= self.hear_controller()?;
             if self.is_over {
@@ -275,6 +281,7 @@ impl<'a> Pipeline<'a> {
             heard = true;
             if let Some(outcomes) = self.sequencer.report(message.header(), message.items()) {
                 self.batch_is_broken = false;
+                self.stalls_in_a_row = 0;
                 self.driving_ns += now_ns() - self.issued_ns;
                 self.driving_ticks +=
                     outcomes.iter().map(|outcome| outcome.report.ticks).max().unwrap_or_default();
@@ -323,7 +330,7 @@ impl<'a> Pipeline<'a> {
     /// A batch without a tick for so long has lost a message: it is driven again.
     ///
     /// A vehicle that may take its time to come to the start is waited for until its first tick.
-    fn look_after_batch(&mut self) {
+    fn look_after_batch(&mut self) -> Result<(), Failure> {
         let now = now_ns();
         self.state_file.write(now, &self.members, &self.sequencer, self.seen);
         let patient = self.members.iter().any(|member| !member.entry.is_deterministic());
@@ -334,12 +341,22 @@ impl<'a> Pipeline<'a> {
             || now.saturating_sub(self.seen_ns) < STALLED_AFTER_NS
             || !self.members.iter().all(Member::is_ready)
         {
-            return;
+            return Ok(());
+        }
+        self.stalls_in_a_row += 1;
+        if self.stalls_in_a_row > STALLS_IN_A_ROW {
+            let (batch, tick) = (self.sequencer.batch(), self.seen.1);
+            return Err(Failure::GaveUp(format!(
+                "gave up: batch {batch} stalled {STALLS_IN_A_ROW} times in a row, the last time at tick {tick}, \
+                 although every process shows signs of life; look into {}",
+                self.attachment.folder.join("logs").display(),
+            )));
         }
         tracing::warn!(batch = self.sequencer.batch(), seen = ?self.seen, "stalled");
         self.recoveries.stalls += 1;
         self.recoveries.broken(self.seen_ns);
         self.batch_is_broken = true;
+        Ok(())
     }
 
     /// Starts who is due, in order; replaces who died or froze.

@@ -60,6 +60,15 @@ impl Sandbox {
         self.result(out)
     }
 
+    /// A command that prints its result as JSON, to its end.
+    pub fn json(&self, out: &str, args: &[&str]) -> Value {
+        let output = self.run(&[args, &["--out", out, "--json"]].concat());
+        assert!(output.status.success(), "{args:?}: {}", self.story(out, &output));
+        let result: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(result, self.result(out));
+        result
+    }
+
     /// Starts a training in the background.
     pub fn start_training(&self, out: &str, args: &[&str]) -> Training<'_> {
         let mut all = vec!["train"];

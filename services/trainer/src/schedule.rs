@@ -46,8 +46,9 @@ struct Schedule {
     config: RunConfig,
     subject: Subject,
     sweeping: Sweeping,
-    /// Learner and step of each slot of the batch that was requested last.
-    batch: (BatchHeader, Vec<(u32, u32)>),
+    /// Learner of each slot of the batch that was requested last. A predecessor of this process may have asked
+    /// for it: its zones are answered all the same.
+    batch: (BatchHeader, Vec<u32>),
     /// Zones of a batch whose request has not come yet: the two travel on different topics.
     early: Vec<(BatchHeader, Zone)>,
     /// The switches of each drive, in its last attempt.
@@ -132,10 +133,11 @@ impl Schedule {
             self.counters.dropped += 1;
             return Ok(true);
         }
-        let slots = request.items().iter().map(|slot| (slot.learner, slot.step)).collect();
+        let slots = request.items().iter().map(|slot| slot.learner).collect();
         self.batch = (request.header(), slots);
-        for (learner, step) in &self.batch.1 {
-            if let Some(index) = self.sweeping.sweep().index_of(*learner, *step) {
+        (self.counters.batch, self.counters.tick) = (self.batch.0.batch, 0);
+        for learner in &self.batch.1 {
+            if let Some(index) = self.sweeping.sweep().index_of(*learner) {
                 self.switches.remove(&index);
             }
         }
@@ -148,6 +150,7 @@ impl Schedule {
     fn hear_zones(&mut self) -> Result<bool> {
         let Some(zones) = self.zones.receive()? else { return Ok(false) };
         let header = zones.header();
+        self.counters.tick = zones.items().first().map_or(0, |zone| zone.from_tick);
         let zones = zones.items().iter().map(|zone| (header, *zone)).collect();
         self.answer(zones)?;
         Ok(true)
@@ -167,7 +170,7 @@ impl Schedule {
             let index = slots
                 .get(zone.slot as usize)
                 .filter(|_| is_of_batch)
-                .and_then(|(learner, step)| sweeping.sweep().index_of(*learner, *step));
+                .and_then(|learner| sweeping.sweep().index_of(*learner));
             let Some(index) = index else {
                 counters.dropped += 1;
                 continue;
@@ -254,7 +257,6 @@ impl Service for Schedule {
             self.counters.dropped += 1;
             return Ok(true);
         }
-        self.counters.batch = outcomes.items().first().map_or(0, |outcome| outcome.batch);
         self.counters.dropped += self.sweeping.learn(outcomes.items())?;
         self.go_on()?;
         Ok(true)

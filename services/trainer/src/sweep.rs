@@ -61,10 +61,15 @@ impl Sweep {
         }
     }
 
-    /// The number of the drive that goes by `learner` and `step`.
-    pub fn index_of(&self, learner: u32, step: u32) -> Option<usize> {
+    /// The number of the drive that goes by `learner`, whichever process asked for it.
+    pub fn index_of(&self, learner: u32) -> Option<usize> {
         let index = learner.checked_sub(self.first_learner)? as usize;
-        (step == self.step && index < self.drives.len()).then_some(index)
+        (index < self.drives.len()).then_some(index)
+    }
+
+    /// The number of the drive that goes by `learner` and `step`: one that this process asked for.
+    pub fn index_of_own(&self, learner: u32, step: u32) -> Option<usize> {
+        self.index_of(learner).filter(|_| step == self.step)
     }
 
     /// A drive of the list.
@@ -74,7 +79,7 @@ impl Sweep {
 
     /// Takes the report of a drive; whether it was wanted.
     pub fn take(&mut self, report: &DriveReport) -> bool {
-        let Some(index) = self.index_of(report.learner, report.step) else { return false };
+        let Some(index) = self.index_of_own(report.learner, report.step) else { return false };
         self.reports[index].replace(*report).is_none()
     }
 

@@ -91,7 +91,7 @@ impl Sweeping {
                     .all(|number| number.is_finite() && number >= 0.0);
             // Asking again would bring the same report again.
             ensure!(plausible, "impossible numbers in a drive report: {report:?}");
-            let Some(index) = self.sweep.index_of(report.learner, report.step) else {
+            let Some(index) = self.sweep.index_of_own(report.learner, report.step) else {
                 dropped += 1;
                 continue;
             };
@@ -113,7 +113,7 @@ impl Sweeping {
         for (report, since_ns) in self.unrecorded.drain(..) {
             let name = self
                 .sweep
-                .index_of(report.learner, report.step)
+                .index_of_own(report.learner, report.step)
                 .and_then(|index| self.sweep.drive(index).record.clone())
                 .unwrap_or_default();
             match recorder.take_whole(report.learner, report.step, report.ticks) {
