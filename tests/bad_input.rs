@@ -53,7 +53,7 @@ fn mistakes_in_options() {
     check(&sandbox, &["lane_change", "--set", "learning.gam\nma=1"], &["learning.gam ma"]);
     check(&sandbox, &["lane_change", "--set", "grid.kv={min=}"], &["grid.kv"]);
     let row = "paper=[{gains=[],mse_m2=1,noisy_mse_m2=1}]";
-    check(&sandbox, &["lane_change", "--set", row], &["paper[0].gains", "ask for 1"]);
+    check(&sandbox, &["lane_change", "--set", row], &["paper[0].gains", "is empty"]);
     check(&sandbox, &["lane_change", "--set", "maneuver=../x"], &["maneuver", "cannot be changed"]);
     check(&sandbox, &["lane_change", "--chaos", "kill pilot@drive=1"], &["--chaos", "pilot"]);
 }

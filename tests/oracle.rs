@@ -14,8 +14,8 @@ use anyhow::{Result, ensure};
 use config::{Gains, RunConfig};
 use ipc_types::topics::OBSERVER_BUFFER;
 use ipc_types::{
-    BatchHeader, Command, DriveOutcome, DriveReport, Odometry, Proposal, RawCommand, WakeRole,
-    WirePose,
+    BatchHeader, Command, DriveOutcome, DriveReport, DriveRequest, Odometry, Proposal, RawCommand,
+    WakeRole, WirePose,
 };
 use rollout::{Rollout, TickRecord};
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
@@ -111,6 +111,7 @@ impl Comparer {
             return Ok(());
         }
         let (sets, compared, ticks) = (&self.sets, self.compared, self.config.ticks());
+        let noise = self.config.noise.enabled;
         self.proposals.send(header, rest.min(self.config.fleet()), |slot| {
             let Gains { kv, kl, ks, ki } = sets[compared + slot];
             Proposal {
@@ -119,6 +120,8 @@ impl Comparer {
                 ticks,
                 learner: slot as u32,
                 step: compared as u32,
+                flags: if noise { DriveRequest::NOISE } else { 0 },
+                reserved: 0,
             }
         })?;
         Ok(())

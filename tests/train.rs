@@ -98,11 +98,28 @@ fn noise_is_seeded_by_learner_and_step() {
     let result = sandbox.train("out", &args);
     let oracle = trainer::train_by_rollout(&config(
         "lane_change",
-        &["learning.episodes=3", "noise.enabled=true"],
+        &["learning.episodes=3", "noise.enabled=true", "vehicle.gear_engaged=true"],
     ));
     assert_eq!(digest(&result), trainer::digest(&oracle));
+    // The choice under noise, and how sure it is.
+    let noise = &result["noise"];
+    let chosen = &noise["finalists"][0];
+    assert_eq!(chosen["gains"], result["gains"]);
+    assert!(chosen["low"].as_f64() <= chosen["mean_distance"].as_f64());
+    assert!(noise["finalists"].as_array().unwrap().len() >= 20);
+    assert!(result["grid"]["rank_mean_distance"].as_u64().unwrap() >= 1);
+    for against in ["against_paper", "against_voted"] {
+        let (low, high) = (&noise[against]["low"], &noise[against]["high"]);
+        let verdict = match (low.as_f64().unwrap(), high.as_f64().unwrap()) {
+            (_, high) if high < 0.0 => "better",
+            (low, _) if low > 0.0 => "worse",
+            _ => "undecided",
+        };
+        assert_eq!(noise[against]["verdict"], verdict);
+    }
     let narrow = sandbox.train("narrow", &[&args[..], &["--fleet", "2"]].concat());
     assert_eq!(digest(&narrow), digest(&result));
+    assert_eq!(narrow["noise"], result["noise"]);
 }
 
 #[test]
@@ -134,7 +151,9 @@ fn the_table_says_how_good_the_gains_are() {
     {
         assert!(text.contains(part), "{part:?} is missing in\n{text}");
     }
-    assert!(text.contains("\nruns/lane_change-"), "{text}");
+    let lines: Vec<&str> = text.lines().rev().take(2).collect();
+    assert!(lines[0].starts_with("runs/lane_change-"), "{text}");
+    assert!(lines[0].ends_with("/report/index.html") && lines[1].ends_with("/result.json"));
 }
 
 #[test]

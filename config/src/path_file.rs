@@ -256,8 +256,7 @@ fn check_steps(origin: &str, mut file: PathFile) -> Result<PathFile, ConfigError
     let steps: Vec<_> = file.points.windows(2).map(|pair| apart_m(pair[0], pair[1])).collect();
     let lines = &file.lines;
     if let Some(index) = steps.iter().position(|step_m| *step_m <= SAME_POINT_M) {
-        let problem =
-            format!("is the point of line {} once more; remove one of them", lines[index]);
+        let problem = format!("repeats the point of line {}; remove one of them", lines[index]);
         return Err(mistake(origin, lines[index + 1], problem));
     }
     let mut sorted = steps.clone();
@@ -332,7 +331,7 @@ mod tests {
         check("x_m,y_m,v_mps\n1,2,0\n", &["p.csv:2:", "v_mps is \"0\"", "(0, 50]"]);
         check("# x_m;y_m;vx_mps\n1;2;-3\n", &["p.csv:2:", "vx_mps is \"-3\"", "(0, 50]"]);
         check("x_m,y_m\n1,2\n", &["p.csv:2:", "only point"]);
-        check("x_m,y_m\n1,2\n1.0,2\n", &["p.csv:3:", "line 2", "once more"]);
+        check("x_m,y_m\n1,2\n1.0,2\n", &["p.csv:3:", "line 2", "repeats the point"]);
         check(
             "x_m,y_m\n0,0\n1,0\n2,0\n22,0\n23,0\n",
             &["p.csv:5:", "20.00 m", "line 4", "usual step is 1.00 m"],

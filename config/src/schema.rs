@@ -59,6 +59,13 @@ impl RunConfig {
         (self.drive.loop_time_s / self.drive.tick_s).round() as u64
     }
 
+    /// The paper's rows that this path can be driven with: with a set for each manoeuvre of its zones, or one for
+    /// all.
+    pub fn paper_rows(&self) -> impl Iterator<Item = &PaperSet> {
+        let due = self.maneuvers_due().len();
+        self.paper.iter().filter(move |row| row.gains.len() == 1 || row.gains.len() == due)
+    }
+
     /// The set that the paper chose for this manoeuvre, where it chose a single one.
     pub fn paper_gains(&self) -> Option<Gains> {
         match self.paper.iter().find(|set| set.chosen)?.gains[..] {

@@ -46,15 +46,10 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
 }
 
 fn paper(config: &RunConfig) -> Result<(), Problem> {
-    let due = config.maneuvers_due().len();
     for (row, set) in config.paper.iter().enumerate() {
         let key = format!("paper[{row}].gains");
-        if set.gains.len() != due {
-            let problem = format!(
-                "holds {} gain sets, and the zones of the path ask for {due}",
-                set.gains.len()
-            );
-            return Err((key, problem));
+        if set.gains.is_empty() {
+            return Err((key, "is empty; give a set for each manoeuvre of the path".to_owned()));
         }
         for (index, gains) in set.gains.iter().enumerate() {
             crate::check_gains(*gains)

@@ -93,10 +93,10 @@ pub fn name_files(ended: &Ended, report: Result<PathBuf, String>) -> Result<(), 
     match (report, ended.json) {
         // The result stands, whatever becomes of its pictures.
         (Err(why), _) => tell!("pathtune: no report: {why}"),
-        (Ok(report), true) => tell!("report: {}", near(&report)),
+        (Ok(_), true) => {}
         (Ok(report), false) => {
-            say!("result: {}", near(&ended.folder.join("result.json")));
-            say!("report: {}", near(&report));
+            say!("{}", near(&ended.folder.join("result.json")));
+            say!("{}", near(&report));
         }
     }
     Ok(())

@@ -25,7 +25,7 @@ pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
     }
     let mut config = layers.resolve()?;
     let sets = parse_sets(&args.gains, &config)?;
-    let rows = if sets.is_empty() { config.paper.len() } else { sets.len() };
+    let rows = if sets.is_empty() { config.paper_rows().count() } else { sets.len() };
     if rows == 0 {
         return Err(Failure::User(format!(
             "the paper has no gains for {}; name some with --gains Kv,Kl,Ks,Ki",

@@ -90,7 +90,7 @@ impl Validation {
     pub fn new(config: &RunConfig, plan: &SweepPlan) -> Self {
         let mut rows = plan.sets.clone();
         if rows.is_empty() {
-            rows.extend(config.paper.iter().map(|row| row.gains.clone()));
+            rows.extend(config.paper_rows().map(|row| row.gains.clone()));
         }
         Self { config: config.clone(), rows, repeats: plan.repeats.into() }
     }
@@ -204,6 +204,6 @@ impl Validation {
 
     /// The paper's row with these gains.
     fn paper(&self, gains: &[Gains]) -> Option<&PaperSet> {
-        self.config.paper.iter().find(|row| row.gains == gains)
+        self.config.paper_rows().find(|row| row.gains == gains)
     }
 }

@@ -15,14 +15,15 @@ pub(crate) fn train(run: &Path) -> Result<()> {
     let tuned = Gains { kv: 1.26, kl: 11.0, ks: 21.0, ki: 0.84 };
     write_run(run, include_str!("../fixtures/train.json"), &config)?;
     record(run, &config, "tuned", tuned)?;
-    record(run, &config, "paper", config.paper_gains)
+    record(run, &config, "paper", config.paper_gains().unwrap())
 }
 
 /// A validation on a path like the paper's circuit, with four zones.
 pub(crate) fn validate(run: &Path) -> Result<()> {
     let config = circuit()?;
     write_run(run, include_str!("../fixtures/validate.json"), &config)?;
-    record(run, &config, "chosen", config.paper_gains)
+    let chosen = Gains { kv: 3.4, kl: 21.0, ks: 1.0, ki: 0.84 };
+    record(run, &config, "chosen", chosen)
 }
 
 /// An exhaustive grid; no drive of it is recorded.
@@ -36,6 +37,7 @@ fn circuit() -> Result<RunConfig> {
     layers.add_document(
         "circuit.toml",
         r#"
+        paper = []
         [path]
         pieces = [
             { kind = "straight", length_m = 14.0 },

@@ -1,0 +1,82 @@
+//! The choice under noise, over twenty trainings.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use config::{Layers, RunConfig};
+use ipc_types::DriveReport;
+use rollout::Rollout;
+use trainer::{Finalists, rank_mean_distance, train_by_rollout};
+
+fn noisy_roundabout() -> RunConfig {
+    let mut layers = Layers::maneuver("roundabout").unwrap();
+    layers.set("noise.enabled=true").unwrap();
+    // As `train --noise` does.
+    layers.set("vehicle.gear_engaged=true").unwrap();
+    layers.resolve().unwrap()
+}
+
+#[test]
+fn the_choice_under_noise_lies_in_the_best_twentieth() {
+    let config = noisy_roundabout();
+    let seeds: Vec<u64> = (1..=20).collect();
+    let next = AtomicU64::new(0);
+    let mut chosen: Vec<(u64, config::Gains)> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..std::thread::available_parallelism().map_or(1, usize::from))
+            .map(|_| {
+                scope.spawn(|| {
+                    let mut chosen = Vec::new();
+                    while let Some(seed) = seeds.get(next.fetch_add(1, Ordering::Relaxed) as usize)
+                    {
+                        let mut config = config.clone();
+                        config.run.seed = *seed;
+                        chosen.push((*seed, choose(&config)));
+                    }
+                    chosen
+                })
+            })
+            .collect();
+        workers.into_iter().flat_map(|worker| worker.join().unwrap()).collect()
+    });
+    chosen.sort_by_key(|(seed, _)| *seed);
+
+    // Many seeds choose the same set; each set is ranked once.
+    let mut ranks: Vec<(config::Gains, usize)> = Vec::new();
+    let mut rank = |gains: config::Gains| match ranks.iter().find(|(known, _)| *known == gains) {
+        Some((_, rank)) => *rank,
+        None => {
+            let rank = rank_mean_distance(&config, gains, |_| {});
+            ranks.push((gains, rank));
+            rank
+        }
+    };
+    let best = config.grid.len() / 20;
+    let good = chosen
+        .iter()
+        .filter(|(seed, gains)| {
+            let rank = rank(*gains);
+            println!("seed {seed}: {gains:?}, rank {rank} of {}", config.grid.len());
+            rank <= best
+        })
+        .count();
+    assert!(good >= 16, "{good} of 20 in the best {best}");
+}
+
+/// A whole training under noise by plain calls, and the choice among its finalists.
+fn choose(config: &RunConfig) -> config::Gains {
+    let training = train_by_rollout(config);
+    let finalists = Finalists::new(config, &training);
+    let mut rollout = Rollout::new(config);
+    let reports: Vec<DriveReport> = finalists
+        .drives()
+        .iter()
+        .map(|drive| {
+            let metrics = rollout.drive(drive.by_zone[0], drive.seed).metrics;
+            DriveReport {
+                mean_abs_cross_m: metrics.mean_abs_cross_m,
+                mean_abs_heading_rad: metrics.mean_abs_heading_rad,
+                ..DriveReport::default()
+            }
+        })
+        .collect();
+    finalists.outcome(config, &training, &reports).finalists[0].gains
+}

@@ -1,0 +1,142 @@
+//! Paths and vehicles of the user's own, from their files to a result.
+
+mod support;
+
+use std::f64::consts::TAU;
+use std::fs;
+
+use serde_json::Value;
+use support::Sandbox;
+
+fn csv(points: impl Iterator<Item = (f64, f64)>) -> String {
+    let rows: Vec<String> = points.map(|(x, y)| format!("{x:.4},{y:.4}\n")).collect();
+    format!("# made by a test\nx_m,y_m\n{}", rows.concat())
+}
+
+/// A slalom of 60 m around cones on a line, 12 m apart.
+fn slalom() -> String {
+    csv((0..=120).map(|index| {
+        let x = 0.5 * f64::from(index);
+        (x, 1.5 * (1.0 - (TAU * x / 24.0).cos()) / 2.0)
+    }))
+}
+
+/// A circle of radius 15 m, closed on itself.
+fn circle() -> String {
+    csv((0..=90).map(|index| {
+        let angle = TAU * f64::from(index) / 90.0;
+        (15.0 * angle.sin(), 15.0 * (1.0 - angle.cos()))
+    }))
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+#[test]
+fn a_slalom_and_a_closed_circle_train_and_validate() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("slalom.csv"), slalom()).unwrap();
+    fs::write(sandbox.path("circle.csv"), circle()).unwrap();
+    for (name, length_m) in [("slalom", 60.5), ("circle", TAU * 15.0)] {
+        let file = format!("{name}.csv");
+        let short = ["--episodes", "4", "--set", "learning.step_limit=20"];
+        let args = [&["--path", &file][..], &short].concat();
+        let result = sandbox.train(&format!("{name}_train"), &args);
+        assert_eq!((&result["maneuver"], &result["paper"]), (&"path".into(), &Value::Null));
+        assert_eq!(result["digest"], sandbox.train(&format!("{name}_again"), &args)["digest"]);
+
+        // The tuned gains drive it to its end, near the path all the way.
+        let gain = |gain: &str| number(&result["gains"][gain]).to_string();
+        let gains = ["kv", "kl", "ks", "ki"].map(gain).join(",");
+        let args = ["validate", "--path", &file, "--gains", &gains];
+        let validation = sandbox.json(&format!("{name}_validate"), &args);
+        let row = &validation["rows"][0];
+        assert_eq!(row["noise_free"]["collisions"], 0);
+        assert!(number(&row["noise_free"]["max_cross_track_m"]) < 1.5, "{name}: {row}");
+        let drive = sandbox.path(&format!("{name}_validate/drives/first_noise_free.csv"));
+        let ticks = fs::read_to_string(drive).unwrap().lines().count() - 1;
+        // A closed path must not end where it begins.
+        let reference_s = length_m / 1.5;
+        assert!(
+            (reference_s..reference_s + 6.5).contains(&(0.01 * ticks as f64)),
+            "{name}: {ticks}"
+        );
+
+        // What was resolved is all that it takes to repeat it.
+        fs::copy(sandbox.path(&format!("{name}_train/config.toml")), sandbox.path("mine.toml"))
+            .unwrap();
+        fs::rename(sandbox.path(&file), sandbox.path("away.csv")).unwrap();
+        let resumed = sandbox.run(&["train", "--resume", &format!("{name}_train"), "--json"]);
+        assert!(resumed.status.success(), "{}", String::from_utf8_lossy(&resumed.stderr));
+        let resumed: Value = serde_json::from_slice(&resumed.stdout).unwrap();
+        assert_eq!(resumed["digest"], result["digest"]);
+    }
+    sandbox.assert_clean();
+}
+
+#[test]
+fn zones_beside_a_path_switch_the_gains() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("slalom.csv"), slalom()).unwrap();
+    let zones = "[[zones]]\nname='in'\nfrom_m=0.0\n[[zones]]\nname='out'\nfrom_m=30.0\n";
+    fs::write(sandbox.path("slalom.toml"), zones).unwrap();
+    let pair = ["--gains", "3,21,21,.7/1.84,11,16,0.84", "--repeats", "2"];
+    let args = [&["validate", "--path", "slalom.csv"][..], &pair].concat();
+    let result = sandbox.json("out", &args);
+    let switches = result["rows"][0]["switches"].as_array().unwrap();
+    assert_eq!(switches.len(), 1);
+    assert_eq!((&switches[0]["name"], number(&switches[0]["gains"]["kl"])), (&"out".into(), 11.0));
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_vehicle_of_one_s_own_and_the_dynamic_one() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("van.toml"), "name='van'\nwheelbase_m=3.6\n").unwrap();
+    let mse = |out: &str, args: &[&str]| {
+        let all = [&["validate", "lane_change", "--gains", "3,21,21,.7", "--repeats", "2"], args];
+        number(&sandbox.json(out, &all.concat())["rows"][0]["noise_free"]["mse_m2"])
+    };
+    let usual = mse("usual", &[]);
+    assert_ne!(mse("van", &["--vehicle", "van.toml"]), usual);
+    // Slow as it is, the lane change does not tell the models apart by much; but it does.
+    let dynamic = mse("dynamic", &["--vehicle", "tesla_model_3_dynamic"]);
+    assert!(dynamic != usual && (dynamic / usual - 1.0).abs() < 0.06, "{dynamic} {usual}");
+    let by_key = mse("key", &["--set", "vehicle.model=dynamic"]);
+    assert_eq!(by_key, dynamic);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn each_mistake_in_a_path_has_one_line() {
+    let sandbox = Sandbox::new();
+    let check = |text: &str, parts: &[&str]| {
+        fs::write(sandbox.path("p.csv"), text).unwrap();
+        for command in ["train", "validate", "grid"] {
+            let output = sandbox.run(&[command, "--path", "p.csv", "--out", "out"]);
+            let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(64), "{text:?}: {stderr}");
+            assert_eq!(stderr.trim_end().lines().count(), 1, "{text:?}: {stderr}");
+            for part in parts {
+                assert!(stderr.contains(part), "{text:?}: {part:?} is missing in {stderr:?}");
+            }
+            assert!(!sandbox.path("out").exists());
+        }
+    };
+    let straight: String = (0..50).map(|x| format!("{x},0\n")).collect();
+    check(&format!("x_m,y_m\n{straight}90,0\n91,0\n"), &["p.csv:52", "gap", "41"]);
+    check("x_m,y_m\n0,0\n1,nan\n2,0\n", &["p.csv:3", "y_m", "nan"]);
+    check("x_m,y_m\n0,0\n", &["p.csv", "only point"]);
+    check("x_m,y_m\n0,0\n1,0\n1,0\n2,0\n", &["p.csv:4", "repeats"]);
+    check("x_m y_m\n0 0\n1 0\n", &["p.csv:1", "space"]);
+    check("x_m\ty_m\n0\t0\n1\t0\n", &["p.csv:1", "tab"]);
+    let tight: String = (0..40)
+        .map(|index| {
+            let angle = TAU * f64::from(index) / 40.0;
+            format!("{},{}\n", 2.0 * angle.cos(), 2.0 * angle.sin())
+        })
+        .collect();
+    check(&format!("x_m,y_m\n{tight}"), &["p.csv:", "radius"]);
+    sandbox.assert_clean();
+}
