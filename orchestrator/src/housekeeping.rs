@@ -82,6 +82,28 @@ fn find(run: Option<&str>) -> Result<RunState, Failure> {
     }
 }
 
+/// A living run, as observers need it.
+#[derive(Debug, Clone)]
+pub struct LivingRun {
+    /// What names it on this machine.
+    pub names: RunNames,
+    /// Its output folder.
+    pub folder: PathBuf,
+}
+
+/// The living run that a user means: by the start of its number, by its folder, or the only one there is.
+///
+/// # Errors
+/// If no run or several are meant.
+pub fn living_run(run: Option<&str>) -> Result<LivingRun, Failure> {
+    let state = find(run)?;
+    let names = living_runs()
+        .into_iter()
+        .find(|names| format!("{:016x}", names.run) == state.run)
+        .ok_or_else(|| Failure::User(format!("run {} has just ended", state.run)))?;
+    Ok(LivingRun { names, folder: state.folder })
+}
+
 /// Lists the living runs.
 ///
 /// # Errors

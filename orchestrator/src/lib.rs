@@ -28,7 +28,7 @@ mod train;
 
 pub use bench::bench;
 pub use failure::Failure;
-pub use housekeeping::{clean, doctor, logs, status, stop};
+pub use housekeeping::{LivingRun, clean, doctor, living_run, logs, status, stop};
 pub use presets::show_config;
 pub use setup::{Ended, name_files};
 pub use sweep::{grid, validate};

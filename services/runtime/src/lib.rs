@@ -10,6 +10,7 @@ pub mod chaos;
 pub mod cleanup;
 pub mod clock;
 pub mod logging;
+pub mod observer;
 pub mod ring;
 pub mod run;
 mod serve;

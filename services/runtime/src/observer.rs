@@ -1,0 +1,133 @@
+//! Observers: processes that nobody started for the run, and that may come, go, freeze and die as they like.
+//!
+//! An observer creates no topic, cleans nothing up, is woken by nobody and wakes nobody. It shows that it is there
+//! by a file in the run's private folder, named after its process and locked as long as it lives: that is
+//! how the orchestrator finds the dead ones, and how their number is bounded.
+
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::run::RunNames;
+use crate::{Bus, BusError};
+
+/// Observers of a run at a time: every one costs each tick a little, and a place on the topics.
+pub const MAX_OBSERVERS: usize = 16;
+
+/// Why a run cannot be observed.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say it")]
+pub enum ObserverError {
+    #[error(
+        "the run has {MAX_OBSERVERS} observers already, which is all it can have; end one of them first"
+    )]
+    Full,
+    #[error("failed to use {path}: {source}")]
+    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    Bus(#[from] BusError),
+}
+
+/// A place among the observers of a run, given back when this is dropped.
+pub struct Observer {
+    // Dropped before the file is removed: who has no file has no ports.
+    bus: Option<Bus>,
+    path: PathBuf,
+    _lock: File,
+}
+
+impl Observer {
+    /// Joins the run as one more observer.
+    ///
+    /// # Errors
+    /// If there are too many already, or the run is gone.
+    pub fn attach(names: &RunNames) -> Result<Self, ObserverError> {
+        let folder = folder(names);
+        let io = |path: &Path| {
+            let path = path.to_owned();
+            move |source| ObserverError::Io { path, source }
+        };
+        // The run's own folder must be there: a run that is gone is not made anew.
+        match fs::create_dir(&folder) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
+                return Err(io(&folder)(error));
+            }
+            _ => {}
+        }
+        let pid = std::process::id();
+        let (born, path) = (folder.join(format!(".{pid}")), folder.join(pid.to_string()));
+        let open = OpenOptions::new().write(true).create(true).truncate(false).open(&born);
+        let lock = open.map_err(io(&born))?;
+        lock.lock().map_err(io(&born))?;
+        // Under its final name it is locked from the first moment on.
+        fs::rename(&born, &path).map_err(io(&path))?;
+        let mut observer = Self { bus: None, path, _lock: lock };
+        if places(names).len() > MAX_OBSERVERS {
+            return Err(ObserverError::Full);
+        }
+        observer.bus = Some(Bus::attach(names, 1)?);
+        Ok(observer)
+    }
+
+    /// The run's bus: for [`Bus::observe`].
+    ///
+    /// # Panics
+    /// Never: an attached observer has one.
+    pub fn bus(&self) -> &Bus {
+        self.bus.as_ref().expect("attached")
+    }
+}
+
+impl Drop for Observer {
+    fn drop(&mut self) {
+        self.bus = None;
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+/// Process ids of observers that died without giving their place back.
+pub fn dead_observers(names: &RunNames) -> Vec<u32> {
+    let is_dead = |pid: &u32| match File::open(folder(names).join(pid.to_string())) {
+        Ok(file) => file.try_lock().is_ok(),
+        Err(_) => false,
+    };
+    places(names).into_iter().filter(is_dead).collect()
+}
+
+/// Gives back the place of a dead observer, once what it left on the bus is removed.
+pub fn forget_observer(names: &RunNames, pid: u32) {
+    let _ = fs::remove_file(folder(names).join(pid.to_string()));
+}
+
+fn folder(names: &RunNames) -> PathBuf {
+    names.root.join("observers")
+}
+
+/// Process ids of all observers, dead or alive.
+fn places(names: &RunNames) -> Vec<u32> {
+    let Ok(entries) = fs::read_dir(folder(names)) else { return Vec::new() };
+    entries.flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_dead_once_nobody_locks_it() {
+        let root = tempfile::tempdir().unwrap();
+        let names = RunNames { run: 1, root: root.path().to_owned() };
+        assert!(dead_observers(&names).is_empty());
+        fs::create_dir(folder(&names)).unwrap();
+        let held = File::create(folder(&names).join("4711")).unwrap();
+        held.lock().unwrap();
+        File::create(folder(&names).join("4712")).unwrap();
+        // One that is only just being made is nobody's yet.
+        File::create(folder(&names).join(".4713")).unwrap();
+        assert_eq!(dead_observers(&names), [4712]);
+        assert_eq!(places(&names).len(), 2);
+        forget_observer(&names, 4712);
+        drop(held);
+        assert_eq!(dead_observers(&names), [4711]);
+    }
+}
