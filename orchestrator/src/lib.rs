@@ -11,6 +11,7 @@ mod cores;
 mod failure;
 mod housekeeping;
 mod member;
+mod observers;
 mod pipeline;
 mod preflight;
 mod presets;

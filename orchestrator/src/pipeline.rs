@@ -24,6 +24,7 @@ use crate::Failure;
 use crate::cores::CoreClaim;
 use crate::housekeeping::RunState;
 use crate::member::{Member, State};
+use crate::observers::ObserverCare;
 use crate::process::clean_up_behind;
 use crate::progress::Progress;
 use crate::recovery::{RandomKills, Recoveries};
@@ -105,6 +106,7 @@ pub(crate) struct Pipeline<'a> {
     stalls_in_a_row: u32,
     random_kills: RandomKills,
     recoveries: Recoveries,
+    observers: ObserverCare,
     state_file: StateFile,
     /// The trainer has written its outcome.
     is_over: bool,
@@ -169,6 +171,7 @@ impl<'a> Pipeline<'a> {
             stalls_in_a_row: 0,
             random_kills,
             recoveries: Recoveries::default(),
+            observers: ObserverCare::default(),
             state_file: StateFile::new(names, plan),
             is_over: false,
             issued_ns: 0,
@@ -366,6 +369,7 @@ impl<'a> Pipeline<'a> {
             return Ok(());
         }
         self.reaped_ns = now;
+        self.observers.look(&self.attachment, now);
         if let Some(index) = self.random_kills.due(now, self.members.len())
             && let Some(process) = self.members[index].state.process()
         {
@@ -401,6 +405,7 @@ impl<'a> Pipeline<'a> {
         self.recoveries.broken(now);
         let decision = member.policy.died(now, jitter);
         tracing::warn!(process = member.name, pid, why, ?decision, "replacing");
+        self.observers.stand_back();
         clean_up_behind(&self.attachment, pid).map_err(Failure::Other)?;
         if member.entry.role != Role::Trainer {
             self.batch_is_broken = self.sequencer.is_driving();

@@ -152,10 +152,9 @@ pub fn clean_up_behind(attachment: &Attachment, pid: u32) -> anyhow::Result<()> 
 /// Helpers that may fail behind one death.
 const HELPERS: usize = 10;
 
-/// Runs the helper that cleans dead nodes off the bus; kills it if it hangs, as it may on half-made files.
-/// Whether it succeeded.
-fn clean_dead_nodes(attachment: &Attachment, helpers: &mut Vec<u32>) -> bool {
-    let helper = Command::new("/proc/self/exe")
+/// Starts the helper that cleans dead nodes off the bus.
+pub(crate) fn spawn_cleaner(attachment: &Attachment) -> io::Result<Child> {
+    Command::new("/proc/self/exe")
         .arg0("pathtune")
         .args(["service", "cleaner"])
         .envs(attachment.to_env())
@@ -163,8 +162,13 @@ fn clean_dead_nodes(attachment: &Attachment, helpers: &mut Vec<u32>) -> bool {
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
-        .spawn();
-    let Ok(mut helper) = helper else { return false };
+        .spawn()
+}
+
+/// Runs the helper that cleans dead nodes off the bus; kills it if it hangs, as it may on half-made files.
+/// Whether it succeeded.
+fn clean_dead_nodes(attachment: &Attachment, helpers: &mut Vec<u32>) -> bool {
+    let Ok(mut helper) = spawn_cleaner(attachment) else { return false };
     helpers.push(helper.id());
     let until = Instant::now() + Duration::from_secs(3);
     while Instant::now() < until {
