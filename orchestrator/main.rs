@@ -7,6 +7,7 @@ use clap::Parser;
 use clap::error::ErrorKind;
 use orchestrator::cli::{Cli, Command, HopArg, ServiceCommand};
 use orchestrator::{Ended, Failure};
+use runtime::clock::now_ns;
 use runtime::ring::Hop;
 
 fn main() -> ExitCode {
@@ -69,16 +70,45 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
         ServiceCommand::Supervisor => supervisor::service::run(),
         ServiceCommand::Trainer => trainer::service::run(),
         ServiceCommand::Schedule => trainer::schedule::run(),
-        ServiceCommand::Ring { hop, rounds } => runtime::ring::run(match hop {
-            HopArg::First => Hop::First { rounds },
-            HopArg::Second => Hop::Second,
-            HopArg::Third => Hop::Third,
-        }),
+        ServiceCommand::Ring { hop, rounds } => runtime::ring::run(to_hop(hop, rounds)),
+        ServiceCommand::StreamRing { hop, rounds } => {
+            runtime::ring::run_over_streams(to_hop(hop, rounds))
+        }
+        ServiceCommand::Calls => time_calls(),
         ServiceCommand::Cleaner => runtime::cleanup::run_helper(),
         ServiceCommand::Wake { pid, after_ms } => {
             runtime::chaos::wake_later(pid, Duration::from_millis(after_ms));
             Ok(())
         }
         ServiceCommand::Exec { words } => Err(orchestrator::process::exec(&words)),
+    }
+}
+
+/// Times plain calls over a grid, and prints nanoseconds a tick: mean, and over the drives median and 99th
+/// percentile. Like a ring, to standard error.
+fn time_calls() -> anyhow::Result<()> {
+    let config = config::Layers::maneuver("lane_change")?.resolve()?;
+    let mut rollout = rollout::Rollout::new(&config);
+    let mut ticks_ns: Vec<f64> = config
+        .grid
+        .positions()
+        .map(|position| {
+            let started_ns = now_ns();
+            let ended = rollout.drive(config.grid.gains(position), None);
+            (now_ns() - started_ns) as f64 / ended.metrics.ticks as f64
+        })
+        .collect();
+    ticks_ns.sort_by(f64::total_cmp);
+    let mean_ns = ticks_ns.iter().sum::<f64>() / ticks_ns.len() as f64;
+    let at = |share: f64| ticks_ns[((ticks_ns.len() - 1) as f64 * share) as usize];
+    eprintln!("{mean_ns} {} {}", at(0.5), at(0.99));
+    Ok(())
+}
+
+fn to_hop(hop: HopArg, rounds: u64) -> Hop {
+    match hop {
+        HopArg::First => Hop::First { rounds },
+        HopArg::Second => Hop::Second,
+        HopArg::Third => Hop::Third,
     }
 }

@@ -252,6 +252,14 @@ pub enum ServiceCommand {
         #[arg(default_value_t = 0)]
         rounds: u64,
     },
+    /// One process of a bare ring over standard input and output
+    StreamRing {
+        hop: HopArg,
+        #[arg(default_value_t = 0)]
+        rounds: u64,
+    },
+    /// Ticks by plain calls, timed
+    Calls,
     /// Cleans dead nodes off the bus, and ends
     Cleaner,
     /// Wakes a frozen process after some milliseconds

@@ -52,6 +52,11 @@ impl RunState {
         fs::rename(part, path)
     }
 
+    /// The living run of the orchestrator with this process id.
+    pub(crate) fn of_orchestrator(pid: u32) -> Option<Self> {
+        living().into_iter().find(|state| state.pid == pid)
+    }
+
     fn read(names: &RunNames) -> Option<Self> {
         serde_json::from_slice(&fs::read(names.root.join(Self::FILE)).ok()?).ok()
     }

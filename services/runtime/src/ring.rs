@@ -1,11 +1,16 @@
-//! A bare ring: three processes that pass the pipeline's bytes around and do nothing else.
+//! Bare rings: three processes that pass the pipeline's bytes around and do nothing else.
 //!
-//! The baseline of the benchmarks: same transport, same topics, same messages, same yielding in the same order, no work, no
-//! clock, no checks.
+//! The baselines of the benchmarks. One goes over the pipeline's own transport: same topics, same messages, same
+//! yielding in the same order, no work, no checks. The others go over pipes or sockets, whichever the processes
+//! were given as standard input and output, and block in the kernel.
 
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::os::fd::AsFd;
 use std::thread::yield_now;
 
 use anyhow::Result;
+use hdrhistogram::Histogram;
 use ipc_types::{Command, Message, Odometry, RawCommand};
 
 use crate::clock::now_ns;
@@ -29,7 +34,8 @@ pub enum Hop {
     Third,
 }
 
-/// Runs one process of the ring; the first one prints nanoseconds per round, and the others end when killed.
+/// Runs one process of the ring over the pipeline's transport; the others end when killed. The first one
+/// prints nanoseconds a round: mean, median and 99th percentile.
 ///
 /// # Errors
 /// If the process was not started by an orchestrator, or the transport fails.
@@ -42,11 +48,7 @@ pub fn run(hop: Hop) -> Result<()> {
     match hop {
         Hop::First { rounds } => {
             let (outlet, inlet) = (bus.outlet::<Odometry>()?, bus.inlet::<Command>()?);
-            let mut start_ns = 0;
-            for round in 0..WARM_UP + rounds {
-                if round == WARM_UP {
-                    start_ns = now_ns();
-                }
+            measure(rounds, |round| {
                 send(&outlet, len)?;
                 let mut looks = 0u32;
                 while inlet.receive()?.is_none() {
@@ -57,9 +59,8 @@ pub fn run(hop: Hop) -> Result<()> {
                     }
                     yield_now();
                 }
-            }
-            println!("{}", (now_ns() - start_ns) as f64 / rounds as f64);
-            Ok(())
+                Ok(())
+            })
         }
         Hop::Second => {
             pass_on(&bus.inlet::<Odometry>()?, &bus.outlet::<RawCommand>()?, len, |_| {})
@@ -71,6 +72,65 @@ pub fn run(hop: Hop) -> Result<()> {
             pass_on(&bus.inlet::<RawCommand>()?, &bus.outlet::<Command>()?, len, note)
         }
     }
+}
+
+/// Runs one process of a ring over standard input and output, with the bytes of one vehicle's messages. The
+/// first one prints to standard error what [`run`] prints.
+///
+/// # Errors
+/// If the process was not started by an orchestrator, or a neighbour is gone.
+pub fn run_over_streams(hop: Hop) -> Result<()> {
+    let attachment = Attachment::from_env()?;
+    attachment.tie_to_parent()?;
+    attachment.pin();
+    let mut input = File::from(io::stdin().as_fd().try_clone_to_owned()?);
+    let mut output = File::from(io::stdout().as_fd().try_clone_to_owned()?);
+    let (odometry, raw_command, command) =
+        (bytes_of::<Odometry>(), bytes_of::<RawCommand>(), bytes_of::<Command>());
+    let mut relay = |mut taken: Vec<u8>, sent: Vec<u8>| -> Result<()> {
+        loop {
+            input.read_exact(&mut taken)?;
+            output.write_all(&sent)?;
+        }
+    };
+    match hop {
+        Hop::First { rounds } => {
+            let mut taken = command;
+            measure(rounds, |_| {
+                output.write_all(&odometry)?;
+                Ok(input.read_exact(&mut taken)?)
+            })
+        }
+        Hop::Second => relay(odometry, raw_command),
+        Hop::Third => relay(raw_command, command),
+    }
+}
+
+/// As many bytes as a message of one vehicle has, header included.
+fn bytes_of<M: Message>() -> Vec<u8> {
+    vec![0; size_of::<M::Header>() + size_of::<M>()]
+}
+
+fn measure(rounds: u64, mut round_trip: impl FnMut(u64) -> Result<()>) -> Result<()> {
+    // Three digits: a thousandth is finer than any run repeats.
+    let mut histogram = Histogram::<u64>::new_with_bounds(1, 1_000_000_000, 3)?;
+    let (mut start_ns, mut last_ns) = (0, 0);
+    for round in 0..WARM_UP + rounds {
+        if round == WARM_UP {
+            (start_ns, last_ns) = (now_ns(), now_ns());
+        }
+        round_trip(round)?;
+        if round >= WARM_UP {
+            let now_ns = now_ns();
+            histogram.saturating_record(now_ns - last_ns);
+            last_ns = now_ns;
+        }
+    }
+    let mean_ns = (last_ns - start_ns) as f64 / rounds as f64;
+    let at = |quantile| histogram.value_at_quantile(quantile);
+    // Standard output may be the ring itself.
+    eprintln!("{mean_ns} {} {}", at(0.5), at(0.99));
+    Ok(())
 }
 
 fn pass_on<A: Message, B: Message>(

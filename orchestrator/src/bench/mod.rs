@@ -1,0 +1,237 @@
+//! `pathtune bench`: what a tick of the pipeline costs, beside rings that only pass its bytes around, and beside plain
+//! calls. All of it in one run, in turn, because machines differ from minute to minute.
+
+mod pipelines;
+mod rings;
+
+use comfy_table::presets::NOTHING;
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Value, json};
+
+use self::pipelines::{pipeline, pipelines, waiting};
+use self::rings::{Transport, calls, ring};
+use crate::Failure;
+use crate::cli::BenchArgs;
+use crate::terminal::{say, tell};
+
+/// Nanoseconds a tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Timing {
+    tick_ns: f64,
+    p50_ns: f64,
+    p99_ns: f64,
+}
+
+impl Timing {
+    /// Where only the mean is known.
+    fn of_mean(tick_ns: f64) -> Self {
+        Self { tick_ns, p50_ns: f64::NAN, p99_ns: f64::NAN }
+    }
+}
+
+/// What is measured: a row of the table.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Subject {
+    Ring(Transport, usize),
+    Calls,
+    Pipeline(usize),
+    Pipelines(usize, usize),
+    Observers(usize),
+}
+
+impl Subject {
+    fn name(self) -> String {
+        match self {
+            Subject::Ring(Transport::Pipe, _) => "ring/pipe".to_owned(),
+            Subject::Ring(Transport::UnixSocket, _) => "ring/unix_socket".to_owned(),
+            Subject::Ring(Transport::SharedMemory, 1) => "ring/iceoryx2".to_owned(),
+            Subject::Ring(Transport::SharedMemory, fleet) => format!("ring/iceoryx2/fleet={fleet}"),
+            Subject::Calls => "calls".to_owned(),
+            Subject::Pipeline(fleet) => format!("pipeline/fleet={fleet}"),
+            Subject::Pipelines(count, fleet) => format!("pipelines={count}/fleet={fleet}"),
+            Subject::Observers(count) => format!("observers={count}"),
+        }
+    }
+
+    fn fleet(self) -> usize {
+        match self {
+            Subject::Ring(_, fleet) | Subject::Pipeline(fleet) | Subject::Pipelines(_, fleet) => {
+                fleet
+            }
+            Subject::Calls | Subject::Observers(_) => 1,
+        }
+    }
+
+    fn measure(self) -> anyhow::Result<Timing> {
+        match self {
+            Subject::Ring(transport, fleet) => ring(transport, fleet),
+            Subject::Calls => calls(),
+            Subject::Pipeline(fleet) => pipeline(fleet, 0),
+            Subject::Observers(count) => pipeline(1, count),
+            // As if they were one, so that it compares with one.
+            Subject::Pipelines(count, fleet) => {
+                Ok(Timing::of_mean(1e9 * fleet as f64 / pipelines(count, fleet)?))
+            }
+        }
+    }
+}
+
+/// Every row, what belongs together in turn.
+fn subjects() -> Vec<Subject> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let mut subjects = vec![Subject::Calls];
+    for fleet in [1, 4, 16, 64] {
+        subjects.extend([Subject::Ring(Transport::SharedMemory, fleet), Subject::Pipeline(fleet)]);
+    }
+    subjects.extend([Subject::Ring(Transport::Pipe, 1), Subject::Ring(Transport::UnixSocket, 1)]);
+    subjects.extend([1, 16].map(|fleet| Subject::Pipelines(cores, fleet)));
+    subjects.extend([1, 3, 6].map(Subject::Observers));
+    subjects
+}
+
+/// Measures everything in turn, several times, and prints medians.
+///
+/// # Errors
+/// If a pipeline cannot be kept alive.
+pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
+    let subjects = subjects();
+    let mut rounds: Vec<Vec<Timing>> = vec![Vec::new(); subjects.len()];
+    for round in 1..=args.rounds {
+        for (subject, timings) in subjects.iter().zip(&mut rounds) {
+            if !args.json {
+                tell!("round {round} of {}: {}", args.rounds, subject.name());
+            }
+            timings.push(subject.measure()?);
+        }
+    }
+    let rows: Vec<(Subject, Timing)> =
+        subjects.into_iter().zip(rounds.iter().map(|timings| medians(timings))).collect();
+    if !args.json {
+        tell!("waiting behind a slow vehicle");
+    }
+    let (waiting, start_up) = waiting()?;
+    if args.json {
+        let rows: Vec<Value> =
+            rows.iter().map(|(subject, timing)| row_json(*subject, *timing)).collect();
+        let processes: Vec<Value> = waiting
+            .iter()
+            .map(|process| {
+                json!({
+                    "name": process.name,
+                    "cpu_waiting": process.cpu,
+                    "rss_bytes": process.rss_bytes,
+                    "shared_bytes": process.shared_bytes,
+                })
+            })
+            .collect();
+        let start_up_ms = start_up.as_secs_f64() * 1e3;
+        say!("{}", json!({ "rows": rows, "processes": processes, "start_up_ms": start_up_ms }));
+        return Ok(());
+    }
+    print_rows(&rows, args.rounds)?;
+    let mut table =
+        table_of(&["behind a vehicle of 10 ms a tick", "% of a core", "RSS MiB", "of it shared"]);
+    for process in waiting {
+        let mib = |bytes: u64| format!("{:.1}", bytes as f64 / f64::from(1 << 20));
+        table.add_row([
+            process.name,
+            format!("{:.1}", 100.0 * process.cpu),
+            mib(process.rss_bytes),
+            mib(process.shared_bytes),
+        ]);
+    }
+    say!("\n{table}");
+    say!("from the start of a pipeline to its first drive {:.0} ms", start_up.as_secs_f64() * 1e3);
+    Ok(())
+}
+
+fn row_json(subject: Subject, timing: Timing) -> Value {
+    json!({
+        "name": subject.name(),
+        "tick_ns": timing.tick_ns,
+        "ticks_per_s": 1e9 / timing.tick_ns,
+        "vehicle_ticks_per_s": 1e9 / timing.tick_ns * subject.fleet() as f64,
+        "p50_ns": known(timing.p50_ns),
+        "p99_ns": known(timing.p99_ns),
+    })
+}
+
+fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {
+    let of = |subject: Subject| {
+        let row = rows.iter().find(|(other, _)| *other == subject);
+        row.map_or(f64::NAN, |(_, timing)| timing.tick_ns)
+    };
+    let calls = of(Subject::Calls);
+    let mut table = table_of(&[
+        "",
+        "µs a tick",
+        "p50",
+        "p99",
+        "× bare ring",
+        "ns a vehicle and tick",
+        "× calls",
+    ]);
+    for (subject, timing) in rows {
+        let fleet = subject.fleet();
+        let ring = of(Subject::Ring(Transport::SharedMemory, fleet));
+        let each_ns = timing.tick_ns / fleet as f64;
+        let us = |ns: f64| known(ns).map_or("–".to_owned(), |ns| format!("{:.2}", ns / 1e3));
+        table.add_row([
+            subject.name(),
+            us(timing.tick_ns),
+            us(timing.p50_ns),
+            us(timing.p99_ns),
+            format!("{:.2}", timing.tick_ns / ring),
+            format!("{each_ns:.0}"),
+            format!("{:.1}", each_ns / calls),
+        ]);
+    }
+    say!("{table}");
+    say!(
+        "medians of {rounds} rounds, all rows in turn; the processes of a ring or pipeline share one core"
+    );
+    let (ring, sixteen) =
+        (of(Subject::Ring(Transport::SharedMemory, 1)), of(Subject::Pipeline(16)));
+    say!(
+        "fleet of 16: a vehicle and tick beyond plain calls costs {:.2} of a sixteenth of the bare ring's tick",
+        (sixteen / 16.0 - calls) / (ring / 16.0),
+    );
+    let alone = of(Subject::Pipeline(1));
+    for count in [1, 3, 6] {
+        say!("{count} observers: {:.3} × the tick without", of(Subject::Observers(count)) / alone);
+    }
+    for (subject, timing) in rows {
+        if let Subject::Pipelines(count, fleet) = *subject {
+            let gain = of(Subject::Pipeline(fleet)) / timing.tick_ns;
+            say!("{count} pipelines with fleets of {fleet}: {gain:.2} × one");
+        }
+    }
+    Ok(())
+}
+
+fn medians(timings: &[Timing]) -> Timing {
+    let of = |number: fn(&Timing) -> f64| {
+        let mut numbers: Vec<f64> = timings.iter().map(number).collect();
+        numbers.sort_by(f64::total_cmp);
+        numbers[numbers.len() / 2]
+    };
+    Timing {
+        tick_ns: of(|timing| timing.tick_ns),
+        p50_ns: of(|timing| timing.p50_ns),
+        p99_ns: of(|timing| timing.p99_ns),
+    }
+}
+
+fn known(number: f64) -> Option<f64> {
+    number.is_finite().then_some(number)
+}
+
+/// A table without lines, its numbers to the right.
+fn table_of(header: &[&str]) -> Table {
+    let mut table = Table::new();
+    table.load_style(NOTHING).set_header(header);
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}

@@ -1,0 +1,131 @@
+//! Bare rings and plain calls: what the pipeline is measured against.
+
+use std::io::{Read, pipe};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use runtime::run::RunNames;
+use runtime::{Attachment, Bus};
+
+use super::Timing;
+use crate::cores::CoreClaim;
+
+/// Rounds of a ring that are measured at a time.
+const ROUNDS: u64 = 50_000;
+
+/// What the messages of a ring travel over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Transport {
+    /// The pipeline's own.
+    SharedMemory,
+    /// Anonymous pipes.
+    Pipe,
+    /// Unix stream sockets.
+    UnixSocket,
+}
+
+/// A round of the ring of three processes on one core, with messages of `fleet` vehicles.
+pub(super) fn ring(transport: Transport, fleet: usize) -> Result<Timing> {
+    let names = RunNames::create()?;
+    let result = ring_on(&names, transport, fleet);
+    names.remove();
+    result
+}
+
+fn ring_on(names: &RunNames, transport: Transport, fleet: usize) -> Result<Timing> {
+    let claim = CoreClaim::new();
+    let attachment = Attachment {
+        names: names.clone(),
+        folder: names.root.clone(),
+        max_len: fleet,
+        incarnation: 1,
+        core: claim.as_ref().map(|claim| claim.core),
+        parent: std::process::id() as i32,
+        chaos: None,
+    };
+    let rounds = ROUNDS.to_string();
+    let start = |service: &str, hop: &[&str], input: Stdio, output: Stdio| -> Result<Killed> {
+        let child = Command::new("/proc/self/exe")
+            .arg0("pathtune")
+            .args(["service", service])
+            .args(hop)
+            .envs(attachment.to_env())
+            .process_group(0)
+            .stdin(input)
+            .stdout(output)
+            .stderr(Stdio::piped())
+            .spawn()?;
+        Ok(Killed(child))
+    };
+    let first = ["first", rounds.as_str()];
+    if transport == Transport::SharedMemory {
+        let _bus = Bus::create(names, fleet)?;
+        let none = || (Stdio::null(), Stdio::null());
+        let start = |hop: &[&str]| start("ring", hop, none().0, none().1);
+        // The first of the ring last, and a moment later: the others' ports are there by then.
+        let _others = [start(&["second"])?, start(&["third"])?];
+        std::thread::sleep(Duration::from_millis(50));
+        return start(&first)?.timing();
+    }
+    let links = [transport.link()?, transport.link()?, transport.link()?];
+    let [(from_first, to_second), (from_second, to_third), (from_third, to_first)] = links;
+    let start = |hop: &[&str], input: OwnedFd, output: OwnedFd| {
+        start("stream-ring", hop, input.into(), output.into())
+    };
+    let _others =
+        [start(&["second"], to_second, from_second)?, start(&["third"], to_third, from_third)?];
+    start(&first, to_first, from_first)?.timing()
+}
+
+impl Transport {
+    /// The two ends of a link: where it is written, and where it is read.
+    fn link(self) -> Result<(OwnedFd, OwnedFd)> {
+        if self == Transport::UnixSocket {
+            let (one, other) = UnixStream::pair()?;
+            return Ok((one.into(), other.into()));
+        }
+        let (reader, writer) = pipe()?;
+        Ok((writer.into(), reader.into()))
+    }
+}
+
+/// A tick of one vehicle by plain calls, in a process of its own: this one links no service.
+pub(super) fn calls() -> Result<Timing> {
+    let child = Command::new("/proc/self/exe")
+        .arg0("pathtune")
+        .args(["service", "calls"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()?;
+    Killed(child).timing()
+}
+
+/// A process that is gone when this is dropped.
+pub(super) struct Killed(pub(super) Child);
+
+impl Killed {
+    /// What the process prints at its end.
+    fn timing(mut self) -> Result<Timing> {
+        let mut text = String::new();
+        self.0.stderr.take().context("no output")?.read_to_string(&mut text)?;
+        ensure!(self.0.wait()?.success(), "a process of a ring failed: {}", text.trim());
+        let numbers: Vec<f64> =
+            text.split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
+        let [mean_ns, p50_ns, p99_ns] = numbers[..] else {
+            anyhow::bail!("a process of a ring printed {text:?}");
+        };
+        Ok(Timing { tick_ns: mean_ns, p50_ns, p99_ns })
+    }
+}
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
