@@ -28,8 +28,7 @@ pub struct Sweep {
 
 impl Sweep {
     /// A sweep whose drives go by the learners `first_learner`, `first_learner + 1`, … and by `step`. A
-    /// process that was restarted takes another step than its predecessor, and so is never answered what
-    /// that one had asked for.
+    /// process that takes another step than its predecessor is never answered what that one had asked for.
     pub fn new(first_learner: u32, step: u32, ticks: u64, drives: Vec<PlannedDrive>) -> Self {
         let reports = vec![None; drives.len()];
         Self { first_learner, step, ticks, drives, reports }

@@ -60,7 +60,11 @@ impl Sweeping {
         // Observers cost every tick a little: only where there is something to record.
         let recorder =
             if records { Some(Recorder::new(bus, place.run, place.tick_s)?) } else { None };
-        let sweep = Sweep::new(first_learner, place.incarnation as u32, place.ticks, drives);
+        // What only this process saw, recordings and switches, must be driven again for its successor. Of all else
+        // the reports are enough, and the orchestrator still has them.
+        let is_watched = records || drives.iter().any(|drive| drive.by_zone.len() > 1);
+        let step = if is_watched { place.incarnation as u32 } else { 0 };
+        let sweep = Sweep::new(first_learner, step, place.ticks, drives);
         Ok(Self { place, sweep, recorder, unrecorded: Vec::new(), recorded: Vec::new() })
     }
 
