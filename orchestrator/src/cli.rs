@@ -237,13 +237,13 @@ pub struct MonitorArgs {
     #[arg(long, value_name = "FILE")]
     pub csv: Option<PathBuf>,
     /// How long to look, as in 500ms, 10s, 2m or 1h [default: until the run ends]
-    #[arg(long = "for", value_name = "TIME", value_parser = duration)]
+    #[arg(long = "for", value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
     pub duration: Option<Duration>,
     /// One report over a second in which ticks are driven, and no more
     #[arg(long)]
     pub once: bool,
     /// How long odometry to applied command may take; longer is a deadline miss [default: the run's tick]
-    #[arg(long, value_name = "TIME", value_parser = duration)]
+    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
     pub budget: Option<Duration>,
     /// Hand out the figures to Prometheus on this address, as in 127.0.0.1:9464; not in every build
     #[arg(long, value_name = "ADDR")]

@@ -36,7 +36,9 @@ pub(crate) fn run(
     let mut view = View::default();
     let mut pace = Pace::new(options);
     watch.begin_interval();
-    let (mut draw_ns, mut keys_ns, mut publish_ns) = (now_ns(), now_ns(), now_ns());
+    // There is something to be seen at once, but figures only when some time has passed.
+    screen.draw(&view)?;
+    let (mut draw_ns, mut keys_ns, mut publish_ns) = (now_ns() + REFRESH_NS, now_ns(), now_ns());
     loop {
         if let Some(ended) = drain(watch)? {
             return Ok(ended);
@@ -72,7 +74,9 @@ pub(crate) fn run(
                         Some(Key::Reset) => {
                             watch.reset();
                             view.reset();
-                            draw_ns = now_ns;
+                            draw_ns = now_ns + REFRESH_NS;
+                            view.live.total = watch.total();
+                            screen.draw(&view)?;
                         }
                         Some(Key::Freeze) => {
                             view.freeze();

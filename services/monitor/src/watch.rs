@@ -1,14 +1,14 @@
 //! A run as it is watched: its topics drained into the figures, and what its orchestrator tells of its processes.
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, File};
 use std::time::Duration;
 
 use ipc_types::topics::OBSERVER_BUFFER;
 use ipc_types::{Command, Odometry, RawCommand};
 use runtime::clock::now_ns;
 use runtime::observer::{Observer, ObserverError};
-use runtime::run::{RunNames, living_runs};
+use runtime::run::{LOCK_FILE, RunNames};
 use runtime::{BusError, Inlet};
 use serde::Deserialize;
 
@@ -231,6 +231,7 @@ impl Watch {
     }
 }
 
+/// Whether a run that was alive still is. Unlike a run that is only just being made, it has its lock.
 fn is_alive(names: &RunNames) -> bool {
-    living_runs().iter().any(|living| living.run == names.run)
+    File::open(names.root.join(LOCK_FILE)).is_ok_and(|lock| lock.try_lock().is_err())
 }
