@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use clap::Parser;
 use clap::error::ErrorKind;
-use orchestrator::cli::{Cli, Command, HopArg, ServiceCommand};
-use orchestrator::{Ended, Failure};
+use monitor::MonitorError;
+use orchestrator::cli::{Cli, Command, HopArg, MonitorArgs, ServiceCommand};
+use orchestrator::{Ended, Failure, LivingRun};
 use runtime::clock::now_ns;
 use runtime::ring::Hop;
 
@@ -38,6 +39,7 @@ fn main() -> ExitCode {
             .map_err(|why| Failure::User(why.to_string()))
             .and_then(|page| orchestrator::print_line(&page.display().to_string())),
         Command::Bench(args) => orchestrator::bench(&args),
+        Command::Monitor(args) => look(args),
         Command::Status { json } => orchestrator::status(json),
         Command::Stop { run } => orchestrator::stop(run.as_deref()),
         Command::Logs { run, process, lines } => {
@@ -61,6 +63,18 @@ fn main() -> ExitCode {
 fn draw(ended: Ended) -> Result<(), Failure> {
     let report = report::write_report(&ended.folder).map_err(|why| why.to_string());
     orchestrator::name_files(&ended, report)
+}
+
+/// Looks into a living run.
+fn look(args: MonitorArgs) -> Result<(), Failure> {
+    let MonitorArgs { run, vehicle, json, csv, duration, once, budget, prometheus } = args;
+    let LivingRun { names, folder } = orchestrator::living_run(run.as_deref())?;
+    let options =
+        monitor::Options { names, folder, vehicle, json, csv, duration, once, budget, prometheus };
+    monitor::run(&options).map_err(|error| match error {
+        MonitorError::User(why) => Failure::User(why),
+        MonitorError::Other(error) => Failure::Other(error),
+    })
 }
 
 fn serve(service: ServiceCommand) -> anyhow::Result<()> {

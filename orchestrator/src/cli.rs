@@ -1,6 +1,8 @@
 //! The command line.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
@@ -29,6 +31,8 @@ pub enum Command {
     },
     /// Measure what a tick costs, beside a bare ring of the same bytes
     Bench(BenchArgs),
+    /// Look into a living run: how long each hop takes, how regular the ticks are
+    Monitor(MonitorArgs),
     /// List the living runs
     Status {
         /// Print them as JSON
@@ -210,6 +214,47 @@ pub struct BenchArgs {
     /// Print the rows as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// Options of `monitor`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune monitor
+  pathtune monitor --json --for 10s
+  pathtune monitor --once --budget 1ms
+  pathtune monitor --run 3f --vehicle 2 --csv latency.csv")]
+pub struct MonitorArgs {
+    /// The start of its number, or its folder; may be left out if there is only one
+    #[arg(long, value_name = "RUN")]
+    pub run: Option<String>,
+    /// Slot of the fleet whose flags are shown
+    #[arg(long, value_name = "I", default_value_t = 0)]
+    pub vehicle: usize,
+    /// One JSON object a second: percentiles of the last second, counts since the beginning
+    #[arg(long)]
+    pub json: bool,
+    /// One row a second into a file, with the same figures
+    #[arg(long, value_name = "FILE")]
+    pub csv: Option<PathBuf>,
+    /// How long to look, as in 500ms, 10s, 2m or 1h [default: until the run ends]
+    #[arg(long = "for", value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
+    pub duration: Option<Duration>,
+    /// One report over a second in which ticks are driven, and no more
+    #[arg(long)]
+    pub once: bool,
+    /// How long odometry to applied command may take; longer is a deadline miss [default: the run's tick]
+    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
+    pub budget: Option<Duration>,
+    /// Hand out the figures to Prometheus on this address, as in 127.0.0.1:9464; not in every build
+    #[arg(long, value_name = "ADDR")]
+    pub prometheus: Option<SocketAddr>,
+}
+
+/// A time above zero, as users write it.
+fn duration(text: &str) -> Result<Duration, String> {
+    let wanted = "a time above zero is meant, as in 500ms, 10s, 2m or 1h".to_owned();
+    let time = text.parse::<jiff::SignedDuration>().map_err(|_| wanted.clone())?;
+    Duration::try_from(time).ok().filter(|time| !time.is_zero()).ok_or(wanted)
 }
 
 /// Who tunes.

@@ -8,7 +8,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::run::RunNames;
+use crate::run::{LOCK_FILE, RunNames};
 use crate::{Bus, BusError};
 
 /// Observers of a run at a time: every one costs each tick a little, and a place on the topics.
@@ -33,6 +33,7 @@ pub struct Observer {
     // Dropped before the file is removed: who has no file has no ports.
     bus: Option<Bus>,
     path: PathBuf,
+    names: RunNames,
     _lock: File,
 }
 
@@ -61,7 +62,7 @@ impl Observer {
         lock.lock().map_err(io(&born))?;
         // Under its final name it is locked from the first moment on.
         fs::rename(&born, &path).map_err(io(&path))?;
-        let mut observer = Self { bus: None, path, _lock: lock };
+        let mut observer = Self { bus: None, path, names: names.clone(), _lock: lock };
         if places(names).len() > MAX_OBSERVERS {
             return Err(ObserverError::Full);
         }
@@ -82,6 +83,12 @@ impl Drop for Observer {
     fn drop(&mut self) {
         self.bus = None;
         let _ = fs::remove_file(&self.path);
+        // A run that ends while an observer comes has removed itself already, its lock included. What is there
+        // now was made by those who came too late, and nobody else knows of it. Who died with its lock in place
+        // is left to the sweep.
+        if self.names.root.join(LOCK_FILE).try_exists().is_ok_and(|exists| !exists) {
+            self.names.remove();
+        }
     }
 }
 

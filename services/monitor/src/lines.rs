@@ -1,0 +1,128 @@
+//! Reports as lines: JSON, CSV, or text for people, one a second.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::Path;
+
+use runtime::clock::now_ns;
+
+use crate::report::Report;
+use crate::watch::Watch;
+use crate::{Ended, MonitorError, Options, POLL, Pace, Publish, SECOND_NS, Stop, drain};
+
+/// Puts out a report a second until it is enough.
+pub(crate) fn run(
+    options: &Options,
+    watch: &mut Watch,
+    stop: &Stop,
+    publish: &mut Publish,
+) -> Result<Ended, MonitorError> {
+    let mut outputs = Outputs::new(options)?;
+    let mut pace = Pace::new(options);
+    watch.begin_interval();
+    let mut due_ns = now_ns() + SECOND_NS;
+    let mut reports = 0u32;
+    let mut has_begun = !options.once;
+    let ended = loop {
+        let ended = drain(watch)?;
+        if !has_begun && watch.has_seen_ticks() {
+            // A single report is one of a second in which something was driven.
+            has_begun = true;
+            watch.begin_interval();
+            due_ns = now_ns() + SECOND_NS;
+        }
+        if has_begun && now_ns() >= due_ns {
+            let report = watch.report();
+            publish.put(&report);
+            reports += 1;
+            if !outputs.put(&report)? || options.once {
+                break Ended::Enough;
+            }
+            // Who was frozen for a while does not catch up on lines.
+            while due_ns <= now_ns() {
+                due_ns += SECOND_NS;
+            }
+        }
+        if let Some(ended) = ended {
+            break ended;
+        }
+        if stop.is_asked_for() || pace.is_over() {
+            break Ended::Enough;
+        }
+        if pace.is_time_to_look() {
+            watch.new_restarts();
+            if !watch.is_alive() {
+                drain(watch)?;
+                break Ended::RunOver;
+            }
+        }
+        std::thread::sleep(POLL);
+    };
+    // Who looks for less than a second is told about less than a second.
+    if reports == 0 && watch.has_seen_ticks() {
+        outputs.put(&watch.report())?;
+    } else if outputs.is_text() && reports > 1 {
+        outputs.put_text(&format!("in all\n{}", watch.total().table()))?;
+    }
+    Ok(ended)
+}
+
+struct Outputs {
+    json: bool,
+    table: bool,
+    csv: Option<csv::Writer<File>>,
+    has_header: bool,
+}
+
+impl Outputs {
+    fn new(options: &Options) -> Result<Self, MonitorError> {
+        let create = |path: &Path| match File::create(path) {
+            Ok(file) => Ok(csv::Writer::from_writer(file)),
+            Err(error) => {
+                Err(MonitorError::User(format!("failed to write {}: {error}", path.display())))
+            }
+        };
+        let csv = options.csv.as_deref().map(create).transpose()?;
+        Ok(Self { json: options.json, table: options.once, csv, has_header: false })
+    }
+
+    fn is_text(&self) -> bool {
+        !self.json && self.csv.is_none()
+    }
+
+    /// Whether somebody still reads.
+    fn put(&mut self, report: &Report) -> Result<bool, MonitorError> {
+        if let Some(csv) = &mut self.csv {
+            let (names, values): (Vec<_>, Vec<_>) = report.columns().into_iter().unzip();
+            let mut write = || -> csv::Result<()> {
+                if !std::mem::replace(&mut self.has_header, true) {
+                    csv.write_record(&names)?;
+                }
+                csv.write_record(&values)?;
+                Ok(csv.flush()?)
+            };
+            write().map_err(|error| anyhow::Error::new(error).context("failed to write a row"))?;
+        }
+        if self.json {
+            let line = serde_json::to_string(report).map_err(anyhow::Error::new)?;
+            return self.put_text(&line);
+        }
+        if self.is_text() {
+            let text = if self.table { report.table() } else { report.line() };
+            return self.put_text(&text);
+        }
+        Ok(true)
+    }
+
+    fn put_text(&self, text: &str) -> Result<bool, MonitorError> {
+        let mut out = io::stdout().lock();
+        match writeln!(out, "{text}").and_then(|()| out.flush()) {
+            Ok(()) => Ok(true),
+            // Whoever has read may go away.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+            Err(error) => {
+                Err(anyhow::Error::new(error).context("failed to write to standard output").into())
+            }
+        }
+    }
+}
