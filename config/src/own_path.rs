@@ -16,8 +16,6 @@ use crate::{ConfigError, Layers, ZoneConfig, path_file};
 const MAX_FILE_BYTES: u64 = 64 << 20;
 /// Time that the vehicle has to reach the end once the reference is there.
 const AFTER_END_S: f64 = 5.0;
-/// The longest drive, as `drive.loop_time_s` has it.
-const LONGEST_S: f64 = 3600.0;
 
 /// The zones' file: `slalom.toml` beside `slalom.csv`.
 #[derive(Debug, Deserialize)]
@@ -30,6 +28,25 @@ impl Layers {
     /// The embedded layers below a path of the user's own; [`Layers::add_path`] lays it on top.
     pub fn own_path() -> Self {
         Self::embedded(OWN_PATH).expect("the preset is checked by a test")
+    }
+
+    /// The embedded layers below a document that names its manoeuvre, as a resolved configuration does.
+    ///
+    /// # Errors
+    /// If it names none that is known.
+    pub fn of_document(text: &str) -> Result<Self, ConfigError> {
+        let name = text
+            .parse::<Table>()
+            .ok()
+            .and_then(|table| table.get("maneuver").and_then(Value::as_str).map(str::to_owned));
+        match name.as_deref() {
+            Some("path") => Ok(Self::own_path()),
+            Some(name) => Self::maneuver(name),
+            None => {
+                let problem = "is not named; name a manoeuvre, or a path with --path FILE";
+                Err(ConfigError::new("--config", "maneuver", problem))
+            }
+        }
     }
 
     /// Lays the path of a file on top: points, speeds, start, zones (and no rows of the paper's), and a loop time that reaches its end at
@@ -88,7 +105,7 @@ impl Layers {
         } else {
             at_speed_s + 0.5 * ramp_s
         };
-        Some((end_s + AFTER_END_S).ceil().min(LONGEST_S))
+        Some((end_s + AFTER_END_S).ceil())
     }
 
     /// Sets the zones from the file beside the path's, or the one zone where there is none.

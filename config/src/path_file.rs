@@ -261,7 +261,7 @@ fn check_steps(origin: &str, mut file: PathFile) -> Result<PathFile, ConfigError
     }
     let mut sorted = steps.clone();
     sorted.sort_by(f64::total_cmp);
-    let median_m = sorted[sorted.len() / 2];
+    let median_m = sorted[(sorted.len() - 1) / 2];
     let gap = steps.iter().position(|step_m| *step_m > (GAP_FACTOR * median_m).max(GAP_M));
     if let Some(index) = gap {
         let problem = format!(

@@ -1,7 +1,7 @@
 //! What must hold for a path through points: their number, their speeds, and curves that the vehicle can drive.
 
 use crate::validate::{Problem, above, within};
-use crate::{PathConfig, Vehicle};
+use crate::{PathConfig, Supervisor, Vehicle};
 
 /// The most points of a path: at a quarter of a metre, 25 km.
 pub(crate) const MAX_POINTS: usize = 100_000;
@@ -14,7 +14,11 @@ const START_TOLERANCE_M: f64 = 1e-3;
 const CURVATURE_MARGIN: f64 = 1.005;
 
 /// Finds the first problem of a path's points, as (dotted key, problem); nothing where it is made of pieces.
-pub(crate) fn validate(path: &PathConfig, vehicle: &Vehicle) -> Result<(), Problem> {
+pub(crate) fn validate(
+    path: &PathConfig,
+    vehicle: &Vehicle,
+    supervisor: &Supervisor,
+) -> Result<(), Problem> {
     let PathConfig { start, pieces, points, speeds_mps, .. } = path;
     let fail = |key: String, problem: String| Err((key, problem));
     match (pieces.is_empty(), points.is_empty()) {
@@ -52,7 +56,16 @@ pub(crate) fn validate(path: &PathConfig, vehicle: &Vehicle) -> Result<(), Probl
         return fail("path.speeds_mps".to_owned(), problem);
     }
     for (index, speed_mps) in speeds_mps.iter().enumerate() {
-        above(&format!("path.speeds_mps[{index}]"), *speed_mps, 0.0, 50.0)?;
+        let key = format!("path.speeds_mps[{index}]");
+        above(&key, *speed_mps, 0.0, 50.0)?;
+        let limit_mps = vehicle.speed_limit_mps.min(supervisor.speed_limit_mps);
+        if *speed_mps > limit_mps {
+            let problem = format!(
+                "is {speed_mps}, and the limit is {limit_mps}; lower it, or raise \
+                 vehicle.speed_limit_mps and supervisor.speed_limit_mps"
+            );
+            return fail(key, problem);
+        }
     }
     let apart_m = libm::hypot(start.x_m - points[0][0], start.y_m - points[0][1]);
     if apart_m > START_TOLERANCE_M {

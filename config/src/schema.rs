@@ -280,6 +280,9 @@ choice!(
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
 pub struct Supervisor {
     pub speed_limit_mps: f64,
+    pub speed_margin_mps: f64,
+    pub speed_foresight_s: f64,
+    pub speed_gain: f64,
     pub zone_by: ZoneBy,
     pub zone_hysteresis_m: f64,
 }

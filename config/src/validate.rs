@@ -28,6 +28,9 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     within("drive.goal_radius_m", c.drive.goal_radius_m, 0.0, 100.0)?;
     above("controller.steering_limit_rad", c.controller.steering_limit_rad, 0.0, 1.5)?;
     above("supervisor.speed_limit_mps", c.supervisor.speed_limit_mps, 0.0, 100.0)?;
+    within("supervisor.speed_margin_mps", c.supervisor.speed_margin_mps, 0.0, 100.0)?;
+    within("supervisor.speed_foresight_s", c.supervisor.speed_foresight_s, 0.0, 10.0)?;
+    within("supervisor.speed_gain", c.supervisor.speed_gain, 0.0, 1000.0)?;
     within("supervisor.zone_hysteresis_m", c.supervisor.zone_hysteresis_m, 0.0, 10.0)?;
     within("noise.position_sd_m", c.noise.position_sd_m, 0.0, 10.0)?;
     within("noise.heading_half_width_rad", c.noise.heading_half_width_rad, 0.0, 1.0)?;
@@ -82,7 +85,7 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
     ] {
         within(key, value, -1e6, 1e6)?;
     }
-    points::validate(path, &config.vehicle)?;
+    points::validate(path, &config.vehicle, &config.supervisor)?;
     for (index, piece) in path.pieces.iter().enumerate() {
         let key = |field: &str| format!("path.pieces[{index}].{field}");
         match *piece {
@@ -103,6 +106,11 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
     let mut last = -1.0;
     for (index, zone) in path.zones.iter().enumerate() {
         let key = format!("path.zones[{index}].from_m");
+        let name = &zone.name;
+        if name.is_empty() || name.len() > 40 || name.chars().any(char::is_control) {
+            let problem = "must be a name of 1 to 40 characters on one line".to_owned();
+            return Err((format!("path.zones[{index}].name"), problem));
+        }
         within(&key, zone.from_m, 0.0, 1e6)?;
         if index == 0 && zone.from_m != 0.0 {
             return Err((key, "is not 0; the first zone begins where the path does".to_owned()));

@@ -336,6 +336,9 @@ impl<'a> Pipeline<'a> {
     fn look_after_batch(&mut self) -> Result<(), Failure> {
         let now = now_ns();
         self.state_file.write(now, &self.members, &self.sequencer, self.seen);
+        if self.sequencer.is_driving() && self.seen.0 == self.sequencer.batch() {
+            self.progress.show_tick(self.seen.1, self.sequencer.ticks());
+        }
         let patient = self.members.iter().any(|member| !member.entry.is_deterministic());
         let waits_for_start = patient && self.seen_ns <= self.issued_ns;
         if !self.sequencer.is_driving()

@@ -93,6 +93,19 @@ impl Progress {
         )
     }
 
+    /// Shows where a batch stands that lasts long.
+    pub(crate) fn show_tick(&mut self, tick: u64, ticks: u64) {
+        if self.quiet || self.shown.elapsed() < LINE {
+            return;
+        }
+        self.shown = Instant::now();
+        let message = format!("tick {tick}/{ticks} of the drives under way");
+        self.bar.set_message(message.clone());
+        if self.bar.is_hidden() {
+            tell!("{message}");
+        }
+    }
+
     pub(crate) fn finish(&self) {
         self.bar.finish_and_clear();
     }

@@ -166,6 +166,11 @@ impl Sequencer {
         !self.driving.is_empty()
     }
 
+    /// Ticks of the longest drive of the batch under way.
+    pub fn ticks(&self) -> u64 {
+        self.driving.iter().map(|drive| drive.ticks).max().unwrap_or_default()
+    }
+
     /// Number of the batch that is or was last under way.
     pub fn batch(&self) -> u64 {
         self.batch

@@ -20,9 +20,14 @@ pub(crate) fn layers(maneuver: Option<&str>, args: &SetupArgs) -> Result<Layers,
     let mut layers = match (maneuver, &args.path) {
         (Some(maneuver), _) => Layers::maneuver(maneuver)?,
         (None, Some(_)) => Layers::own_path(),
-        (None, None) => {
-            return Err(Failure::User("name a manoeuvre, or a path with --path FILE".to_owned()));
-        }
+        (None, None) => match &args.config {
+            // A resolved configuration says whose it is.
+            Some(file) => Layers::of_document(&read(file, "--config")?)?,
+            None => {
+                let why = "name a manoeuvre, or a path with --path FILE";
+                return Err(Failure::User(why.to_owned()));
+            }
+        },
     };
     if let Some(file) = &args.config {
         layers.add_document(&file.display().to_string(), &read(file, "--config")?)?;
@@ -109,11 +114,12 @@ pub(crate) fn prepare(
     launch: Launch,
     sweep: Option<SweepPlan>,
     folder: Folder,
-    interrupted: Interrupts,
 ) -> Result<Ready, Failure> {
     if let Some(script) = &args.chaos {
         Script::parse(script).map_err(|why| Failure::User(format!("--chaos: {why}")))?;
     }
+    // Until here a signal may simply end us; from here on it ends in order.
+    let interrupted = Interrupts::new()?;
     preflight::check_commands(&launch)?;
     sweep_dead_runs();
     preflight::check_shared_memory(config.fleet().max(config.run.alphas.len()))?;

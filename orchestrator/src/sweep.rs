@@ -5,7 +5,6 @@ use config::{Gains, MAX_FLEET, RunConfig, SweepKind, SweepPlan};
 use serde_json::Value;
 
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
-use crate::pipeline::Interrupts;
 use crate::result::write_result;
 use crate::setup::{self, Ended, Folder};
 use crate::terminal::say;
@@ -17,7 +16,6 @@ use crate::{Failure, tables};
 /// # Errors
 /// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
 pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
-    let interrupted = Interrupts::new()?;
     let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup)?;
     // Whether a drive leaves the road is part of what a validation tells.
     if !args.setup.set.iter().any(|set| set.trim_start().starts_with("collision.enabled")) {
@@ -27,15 +25,13 @@ pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
     let sets = parse_sets(&args.gains, &config)?;
     let rows = if sets.is_empty() { config.paper_rows().count() } else { sets.len() };
     if rows == 0 {
-        return Err(Failure::User(format!(
-            "the paper has no gains for {}; name some with --gains Kv,Kl,Ks,Ki",
-            config.maneuver
-        )));
+        let why = "the paper has no gains for this path; name some with --gains Kv,Kl,Ks,Ki";
+        return Err(Failure::User(why.to_owned()));
     }
     fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
     let plan = SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, sets };
     let name = format!("validate-{}", config.maneuver);
-    sweep(&args.setup, config, plan, &name, interrupted, "validate", tables::print_validation)
+    sweep(&args.setup, config, plan, &name, "validate", tables::print_validation)
 }
 
 /// Drives every gain set of the grid without noise.
@@ -43,8 +39,11 @@ pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
 /// # Errors
 /// As [`validate`].
 pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
-    let interrupted = Interrupts::new()?;
     let mut config = setup::layers(args.maneuver.as_deref(), &args.setup)?.resolve()?;
+    if config.noise.enabled {
+        let why = "noise.enabled: a grid is driven without noise; leave it out";
+        return Err(Failure::User(why.to_owned()));
+    }
     let sets = parse_sets(&args.gains, &config)?;
     if let Some(pair) = sets.iter().position(|set| set.len() != 1) {
         let gains = &args.gains[pair];
@@ -54,7 +53,7 @@ pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
     fill_fleet(&mut config, &args.setup, drives);
     let plan = SweepPlan { kind: SweepKind::Grid, repeats: 0, sets };
     let name = format!("grid-{}", config.maneuver);
-    sweep(&args.setup, config, plan, &name, interrupted, "grid", tables::print_grid)
+    sweep(&args.setup, config, plan, &name, "grid", tables::print_grid)
 }
 
 /// A fleet in which as many drives as possible are made at once, unless the user wants another.
@@ -86,12 +85,11 @@ fn sweep(
     config: RunConfig,
     plan: SweepPlan,
     name: &str,
-    interrupted: Interrupts,
     kind: &str,
     print: fn(&RunConfig, &Value) -> Result<(), Failure>,
 ) -> Result<Ended, Failure> {
     let launch = setup::launch(args, Some("schedule"))?;
-    let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(name), interrupted)?;
+    let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(name))?;
     let facts = run_or_unmake(&ready, true)?;
     let plan = &ready.plan;
     let result = write_result(&plan.folder, kind, &plan.config, &facts)?;

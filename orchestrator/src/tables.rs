@@ -41,7 +41,7 @@ pub(crate) fn print_training(config: &RunConfig, result: &Value) -> Result<(), F
     if !bounds.is_empty() {
         say!("on a bound of the grid: {bounds}; better gains may lie beyond it");
     }
-    print_choice_under_noise(result)?;
+    print_choice_under_noise(config, result)?;
     let drives = &result["drives"];
     say!(
         "{} drives asked for ({} by plain Q), {} driven, {} again behind a crash; the grid holds {size}",
@@ -54,7 +54,7 @@ pub(crate) fn print_training(config: &RunConfig, result: &Value) -> Result<(), F
 }
 
 /// How the gains were chosen under noise, and how sure that is.
-fn print_choice_under_noise(result: &Value) -> Result<(), Failure> {
+fn print_choice_under_noise(config: &RunConfig, result: &Value) -> Result<(), Failure> {
     let noise = &result["noise"];
     let Some(chosen) = noise["finalists"].get(0) else { return Ok(()) };
     say!(
@@ -65,6 +65,9 @@ fn print_choice_under_noise(result: &Value) -> Result<(), Failure> {
         noise["repeats"],
         noise["finalists"].as_array().map_or(0, Vec::len),
     );
+    if config.vehicle.gear_engaged {
+        say!("all of it, the noise-free figures too, with the drive gear engaged from the start");
+    }
     for (name, key) in
         [("the learners' vote", "against_voted"), ("the paper's set", "against_paper")]
     {
@@ -78,10 +81,11 @@ fn print_choice_under_noise(result: &Value) -> Result<(), Failure> {
             _ => "not to be told from",
         };
         say!(
-            "{verdict} {name}: paired difference {} [{}, {}]",
+            "{verdict} {name}: paired difference {} [{}, {}] over the same {} drives",
             digits(&against["difference"], 4),
             digits(&against["low"], 4),
             digits(&against["high"], 4),
+            noise["repeats"],
         );
     }
     say!(
@@ -149,6 +153,13 @@ pub(crate) fn print_validation(_: &RunConfig, result: &Value) -> Result<(), Fail
         ]);
     }
     say!("\n{table}");
+    let collisions = |kind: &str| rows().any(|row| whole(&row[kind]["collisions"]) > 0);
+    if collisions("noise_free") || collisions("noisy") {
+        say!(
+            "a collision ends a drive; the ticks that it cuts off score the last error, so that mse and distance are \
+             those of no whole drive"
+        );
+    }
     say!(
         "worst and mean of {} drives; the paper gives the worst of 10; *: its choice",
         result["repeats"]

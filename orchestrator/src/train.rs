@@ -10,7 +10,7 @@ use config::{RunConfig, SweepPlan};
 use runtime::run::{LOCK_FILE, RunNames};
 
 use crate::cli::{TrainArgs, TunerArg};
-use crate::pipeline::{Interrupts, Pipeline, Plan, log_of_orchestrator};
+use crate::pipeline::{Pipeline, Plan, log_of_orchestrator};
 use crate::progress::Progress;
 use crate::result::{RunFacts, write_result};
 use crate::setup::{self, Ended, Folder, Ready};
@@ -22,8 +22,6 @@ use crate::{Failure, preflight, tables};
 /// # Errors
 /// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
 pub fn train(args: &TrainArgs) -> Result<Ended, Failure> {
-    // First of all: from here on a signal ends in order.
-    let interrupted = Interrupts::new()?;
     let (config, launch) = match &args.resume {
         Some(folder) => resolved_before(folder)?,
         None => {
@@ -33,7 +31,7 @@ pub fn train(args: &TrainArgs) -> Result<Ended, Failure> {
     };
     let name = config.maneuver.clone();
     let folder = args.resume.as_deref().map_or(Folder::New(&name), Folder::Old);
-    let ready = setup::prepare(&args.setup, config, launch, None, folder, interrupted)?;
+    let ready = setup::prepare(&args.setup, config, launch, None, folder)?;
     let facts = run_or_unmake(&ready, args.resume.is_none())?;
     let plan = &ready.plan;
     let result = write_result(&plan.folder, "train", &plan.config, &facts)?;

@@ -94,7 +94,7 @@ impl Page {
                         section {
                             h2 { "Configuration" }
                             details {
-                                summary { "The resolved configuration; it repeats the run" }
+                                summary { "The resolved configuration: `--config` of it repeats the run" }
                                 pre { (config) }
                             }
                         }

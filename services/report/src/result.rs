@@ -262,7 +262,7 @@ pub(crate) fn read(run: &Path) -> Result<(Head, RunResult), ReportError> {
     let text = read_required(
         run,
         "result.json",
-        "the run has not ended; wait for it, or go on with it by `pathtune train --resume`",
+        "the run has not ended; wait for it, go on with it by `pathtune train --resume` if it is a training, or drive it anew",
     )?;
     let path = run.join("result.json");
     // serde_json names line and column of a slip in the syntax, but not of a key that is missing: the path of the key

@@ -7,7 +7,7 @@ use config::{Gains, RunConfig};
 pub use controller::Ended;
 use controller::{Decision, DriveController, Seen};
 use simulator::{Observation, SimulatedVehicle};
-use supervisor::{Gate, Passed};
+use supervisor::{Gate, Passed, SpeedGovernor};
 use tracking::ZoneTracker;
 
 /// Everything that happened in one tick.
@@ -29,6 +29,7 @@ pub struct Rollout {
     vehicle: SimulatedVehicle,
     controller: DriveController,
     gate: Gate,
+    governor: SpeedGovernor,
     zones: ZoneTracker,
     start: tracking::Pose,
     ticks: u64,
@@ -41,6 +42,7 @@ impl Rollout {
             vehicle: SimulatedVehicle::new(config),
             controller: DriveController::new(config),
             gate: Gate::new(config),
+            governor: SpeedGovernor::new(config),
             zones: ZoneTracker::new(config),
             start: config.path.start.into(),
             ticks: config.ticks(),
@@ -74,6 +76,7 @@ impl Rollout {
     ) -> Ended {
         self.vehicle.reset(self.start, noise_seed);
         self.zones.reset();
+        self.governor.reset();
         self.controller.reset(by_zone[0], self.ticks);
         let mut zone = 0;
         let mut tick = 0;
@@ -88,7 +91,9 @@ impl Rollout {
                 },
             );
             let raw = decision.command;
-            let passed = self.gate.pass(raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
+            let allowed_mps = self.governor.allowed_mps(observation.speed_mps);
+            let passed =
+                self.gate.pass(allowed_mps, raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
             let entered = self.zones.update(observation.measured, decision.reference_along_m);
             if entered != zone && by_zone.len() > 1 {
                 self.controller.switch_gains(by_zone[entered]);

@@ -5,4 +5,4 @@
 mod gate;
 pub mod service;
 
-pub use gate::{Change, Gate, Passed};
+pub use gate::{Change, Gate, Passed, SpeedGovernor};

@@ -9,7 +9,7 @@ use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
 use tracking::{Pose, ZoneTracker};
 
-use crate::{Gate, Passed};
+use crate::{Gate, Passed, SpeedGovernor};
 
 /// Runs the process until it is asked to stop.
 ///
@@ -30,8 +30,8 @@ struct Supervisor {
     zones: Outlet<Zone>,
     run: u64,
     gate: Gate,
-    /// A tracker at the start of the path, to be copied into new slots.
-    fresh: ZoneTracker,
+    /// A tracker at the start of the path and a governor at rest, to be copied into new slots.
+    fresh: (ZoneTracker, SpeedGovernor),
     slots: Vec<Slot>,
     /// Zones that begin with the next tick.
     entered: Vec<Zone>,
@@ -43,7 +43,9 @@ struct Supervisor {
 
 struct Slot {
     tracker: ZoneTracker,
+    governor: SpeedGovernor,
     measured: Pose,
+    speed_mps: f64,
     zone: usize,
 }
 
@@ -57,7 +59,7 @@ impl Supervisor {
             zones: bus.outlet()?,
             run,
             gate: Gate::new(config),
-            fresh: ZoneTracker::new(config),
+            fresh: (ZoneTracker::new(config), SpeedGovernor::new(config)),
             slots: Vec::new(),
             entered: Vec::new(),
             batch: BatchHeader::default(),
@@ -73,7 +75,9 @@ impl Supervisor {
             return;
         }
         self.slots.extend(requests.iter().map(|request| Slot {
-            tracker: self.fresh.clone(),
+            tracker: self.fresh.0.clone(),
+            governor: self.fresh.1,
+            speed_mps: 0.0,
             measured: Pose {
                 x_m: request.start.x_m,
                 y_m: request.start.y_m,
@@ -106,6 +110,8 @@ impl Supervisor {
             } else {
                 self.counters.rejected += 1;
             }
+            // The governor takes what is not finite for the last speed that was.
+            slot.speed_mps = odometry.speed_mps;
         }
     }
 
@@ -126,9 +132,12 @@ impl Supervisor {
         };
         self.commands.send(header, raw.len(), |index| {
             let raw = &raw[index];
-            let passed = gate.pass(raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
+            let slot = &mut slots[index];
+            let allowed_mps = slot.governor.allowed_mps(slot.speed_mps);
+            let passed =
+                gate.pass(allowed_mps, raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
             counters.rejected += u64::from(passed.change.rejected);
-            to_command(passed, has(raw.flags, Command::ENDED), slots[index].zone)
+            to_command(passed, has(raw.flags, Command::ENDED), slot.zone)
         })?;
         Ok(())
     }

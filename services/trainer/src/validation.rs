@@ -53,6 +53,8 @@ pub struct NoiseFree {
     /// Share of the ticks on which the steering angle was at its limit.
     pub steering_limited: f64,
     pub collisions: u32,
+    /// Share of the drive's time after which it ended: in a collision, at the goal, or with its time.
+    pub driven: f64,
     pub paper_mse_m2: Option<f64>,
     /// Ours over the paper's, or the paper's over ours: 1 or more.
     pub factor: Option<f64>,
@@ -186,6 +188,7 @@ impl Validation {
                 max_cross_track_m: plain.max_abs_cross_m,
                 steering_limited: plain.steering_limited_ticks as f64 / plain.ticks.max(1) as f64,
                 collisions: collided(plain),
+                driven: plain.ticks as f64 / self.config.ticks() as f64,
                 paper_mse_m2: plain_paper,
                 factor: factor(mse(plain), plain_paper),
             },
