@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use clap::error::ErrorKind;
-use orchestrator::cli::{Cli, Command, HopArg, ServiceCommand};
+use orchestrator::cli::{Cli, Command, HopArg, RecordArgs, ServiceCommand};
 use orchestrator::{Ended, Failure};
 use runtime::ring::Hop;
 
@@ -36,6 +36,7 @@ fn main() -> ExitCode {
         Command::Report { run } => report::write_report(&run)
             .map_err(|why| Failure::User(why.to_string()))
             .and_then(|page| orchestrator::print_line(&page.display().to_string())),
+        Command::Record(args) => record(&args),
         Command::Bench(args) => orchestrator::bench(&args),
         Command::Status { json } => orchestrator::status(json),
         Command::Stop { run } => orchestrator::stop(run.as_deref()),
@@ -62,6 +63,31 @@ fn draw(ended: Ended) -> Result<(), Failure> {
     orchestrator::name_files(&ended, report)
 }
 
+/// Records a living run from another terminal.
+fn record(args: &RecordArgs) -> Result<(), Failure> {
+    let run = orchestrator::living_run(args.run.as_deref())?;
+    if let Some(out) = args.out.as_deref().filter(|out| out.exists()) {
+        return Err(Failure::User(format!("--out {}: is there already", out.display())));
+    }
+    let options = recorder::attached::Options {
+        names: run.names,
+        folder: run.folder,
+        out: args.out.clone(),
+        time: args.time,
+        split_bytes: args.record_split,
+    };
+    let summary = recorder::attached::record(&options)
+        .map_err(|why| Failure::User(format!("{why:#}")))?;
+    // A loss is no failure: an observer may not stop a vehicle. It is never silent, though.
+    if let Some(gaps) = summary.gaps() {
+        eprintln!("pathtune: the recording has gaps: {gaps}");
+    }
+    if !summary.behind.is_zero() {
+        eprintln!("pathtune: could not keep up for {:.1} s", summary.behind.as_secs_f64());
+    }
+    orchestrator::print_line(&summary.file.display().to_string())
+}
+
 fn serve(service: ServiceCommand) -> anyhow::Result<()> {
     match service {
         ServiceCommand::Simulator => simulator::service::run(),
@@ -69,6 +95,7 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
         ServiceCommand::Supervisor => supervisor::service::run(),
         ServiceCommand::Trainer => trainer::service::run(),
         ServiceCommand::Schedule => trainer::schedule::run(),
+        ServiceCommand::Recorder => recorder::service::run(),
         ServiceCommand::Ring { hop, rounds } => runtime::ring::run(match hop {
             HopArg::First => Hop::First { rounds },
             HopArg::Second => Hop::Second,

@@ -1,6 +1,7 @@
 //! The command line.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
@@ -27,6 +28,8 @@ pub enum Command {
         /// The run's folder
         run: PathBuf,
     },
+    /// Record a living run into an MCAP file, from now on; `--record` of train, validate and grid records all of it
+    Record(RecordArgs),
     /// Measure what a tick costs, beside a bare ring of the same bytes
     Bench(BenchArgs),
     /// List the living runs
@@ -92,7 +95,7 @@ pub struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "tuner", "out",
-            "config", "set", "launch", "replace", "path", "vehicle",
+            "config", "set", "launch", "replace", "path", "vehicle", "record", "record_split",
         ]
     )]
     pub resume: Option<PathBuf>,
@@ -184,6 +187,12 @@ pub struct SetupArgs {
     /// A program of yours in a role (vehicle, supervisor, controller, trainer); repeatable
     #[arg(long, value_name = "ROLE=COMMAND")]
     pub replace: Vec<String>,
+    /// Record the run from its first tick, without a loss, into recording.mcap in its folder
+    #[arg(long)]
+    pub record: bool,
+    /// Go on in another file (recording-0001.mcap, …) at this size, as in 500M
+    #[arg(long, value_name = "SIZE", requires = "record", value_parser = parse_size)]
+    pub record_split: Option<u64>,
     /// Restarts that each process gets in ten seconds
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub restart_budget: u32,
@@ -199,6 +208,59 @@ pub struct SetupArgs {
     /// Print result.json instead of the table
     #[arg(long)]
     pub json: bool,
+}
+
+/// Options of `record`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune record
+  pathtune record --run 3f --out drive.mcap --for 10s")]
+pub struct RecordArgs {
+    /// The start of the run's number, or its folder; may be left out if there is only one
+    #[arg(long, value_name = "RUN")]
+    pub run: Option<String>,
+    /// The file [default: recording.mcap in the run's folder, or the next free number]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// How long, as in 10s or 500ms [default: until the run ends]
+    #[arg(long = "for", value_name = "TIME", value_parser = parse_time)]
+    pub time: Option<Duration>,
+    /// Go on in another file at this size, as in 500M
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
+    pub record_split: Option<u64>,
+}
+
+/// `500ms`, `10s`, `5m`.
+fn parse_time(text: &str) -> Result<Duration, String> {
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let unit_s = match &text[split..] {
+        "ms" => 1e-3,
+        "s" => 1.0,
+        "m" => 60.0,
+        "h" => 3600.0,
+        _ => return Err("is no time; write 500ms, 10s or 5m".to_owned()),
+    };
+    let time_s = text[..split].parse::<f64>().ok().map(|number| number * unit_s);
+    time_s
+        .and_then(|time_s| Duration::try_from_secs_f64(time_s).ok())
+        .ok_or_else(|| "is no time; write 500ms, 10s or 5m".to_owned())
+}
+
+/// `64k`, `500M`, `2G`: powers of 1024.
+fn parse_size(text: &str) -> Result<u64, String> {
+    let why = || "is no size; write 500M or 2G, and at least 64k".to_owned();
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let shift = match text[split..].to_ascii_lowercase().trim_end_matches("ib").trim_end_matches('b')
+    {
+        "" => 0,
+        "k" => 10,
+        "m" => 20,
+        "g" => 30,
+        "t" => 40,
+        _ => return Err(why()),
+    };
+    let number: u64 = text[..split].parse().map_err(|_| why())?;
+    number.checked_mul(1 << shift).filter(|size| *size >= 64 << 10).ok_or_else(why)
 }
 
 /// Options of `bench`.
@@ -246,6 +308,7 @@ pub enum ServiceCommand {
     Supervisor,
     Trainer,
     Schedule,
+    Recorder,
     /// One process of the bare ring
     Ring {
         hop: HopArg,
