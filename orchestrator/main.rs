@@ -76,8 +76,8 @@ fn record(args: &RecordArgs) -> Result<(), Failure> {
         time: args.time,
         split_bytes: args.record_split,
     };
-    let summary = recorder::attached::record(&options)
-        .map_err(|why| Failure::User(format!("{why:#}")))?;
+    let summary =
+        recorder::attached::record(&options).map_err(|why| Failure::User(format!("{why:#}")))?;
     // A loss is no failure: an observer may not stop a vehicle. It is never silent, though.
     if let Some(gaps) = summary.gaps() {
         eprintln!("pathtune: the recording has gaps: {gaps}");

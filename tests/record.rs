@@ -59,7 +59,8 @@ fn assert_whole(recording: &Recording) {
     for topic in TICK_TOPICS {
         assert_eq!(recording.of(topic).count() as u64, ticks, "{topic}");
         assert_eq!(end[&format!("messages.{topic}")], ticks.to_string());
-        let mut due = batches.iter().flat_map(|(batch, ticks)| (0..*ticks).map(move |it| (*batch, it)));
+        let mut due =
+            batches.iter().flat_map(|(batch, ticks)| (0..*ticks).map(move |it| (*batch, it)));
         for message in recording.of(topic) {
             let header = TickHeader::take(&mut &message.data[..]).unwrap();
             assert_eq!(Some((header.batch, header.tick)), due.next(), "{topic}");
@@ -158,7 +159,7 @@ fn a_run_is_recorded_from_its_first_tick_bit_for_bit() {
 #[test]
 fn recording_changes_no_digest_and_survives_a_kill() {
     let sandbox = Sandbox::new();
-    let args = ["lane_change", "--episodes", "30"];
+    let args = ["lane_change", "--episodes", "10"];
     let alone = sandbox.train("alone", &args);
     let recorded = sandbox.train("recorded", &[&args[..], &["--record"]].concat());
     assert_eq!(alone["digest"], recorded["digest"]);
@@ -196,8 +197,10 @@ fn recording_changes_no_digest_and_survives_a_kill() {
     assert_eq!(rest.beginning["continues"], "recording.mcap");
     assert_eq!(rest.end.as_ref().unwrap()["gaps"], "0");
     let requests = all::<BatchHeader, DriveRequest>(&rest, "drive_request");
+    // The last request is heard again; what was under way is driven again, unless it had just ended.
     assert_eq!((requests[0].0.batch, requests[0].0.attempt), (20, 1));
-    assert_eq!((requests[1].0.batch, requests[1].0.attempt), (20, 2));
+    let next = (requests[1].0.batch, requests[1].0.attempt);
+    assert!([(20, 2), (21, 1)].contains(&next), "{next:?}");
     sandbox.assert_clean();
 }
 

@@ -250,15 +250,15 @@ fn parse_time(text: &str) -> Result<Duration, String> {
 fn parse_size(text: &str) -> Result<u64, String> {
     let why = || "is no size; write 500M or 2G, and at least 64k".to_owned();
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let shift = match text[split..].to_ascii_lowercase().trim_end_matches("ib").trim_end_matches('b')
-    {
-        "" => 0,
-        "k" => 10,
-        "m" => 20,
-        "g" => 30,
-        "t" => 40,
-        _ => return Err(why()),
-    };
+    let shift =
+        match text[split..].to_ascii_lowercase().trim_end_matches("ib").trim_end_matches('b') {
+            "" => 0,
+            "k" => 10,
+            "m" => 20,
+            "g" => 30,
+            "t" => 40,
+            _ => return Err(why()),
+        };
     let number: u64 = text[..split].parse().map_err(|_| why())?;
     number.checked_mul(1 << shift).filter(|size| *size >= 64 << 10).ok_or_else(why)
 }

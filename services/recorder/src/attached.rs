@@ -57,8 +57,7 @@ pub fn record(options: &Options) -> Result<Summary> {
         None => options.folder.join(STEM),
     };
     let files = Files::first_free(stem, options.split_bytes);
-    let tape =
-        Tape::start(settings(files, &options.folder, &config, options.names.run, false))?;
+    let tape = Tape::start(settings(files, &options.folder, &config, options.names.run, false))?;
     let mut listener = Listener::new(observer.bus(), tape)?;
     let (since, mut looked) = (Instant::now(), Instant::now());
     while !stop.load(Ordering::Relaxed) && options.time.is_none_or(|time| since.elapsed() < time) {

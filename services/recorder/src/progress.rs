@@ -9,8 +9,8 @@ use crate::Place;
 /// Batch and attempt.
 type Attempt = (u64, u32);
 
-/// Attempts whose length is remembered: a topic is behind another by no more than this.
-const REMEMBERED: usize = 16;
+/// Attempts whose length is remembered: an observer that is late may hear so many reports before their ticks.
+const REMEMBERED: usize = 4096;
 
 /// What was heard and missed of one topic.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,8 +26,9 @@ pub struct Heard {
 pub(crate) struct TickProgress {
     attempt: Attempt,
     next_tick: u64,
-    /// Attempts that this topic has left, with the ticks that it had seen: compared with their reports.
-    left: Vec<(Attempt, u64)>,
+    /// Attempts that this topic has left, with the ticks that it had seen and the attempt that it went on with:
+    /// compared with the reports of what lies between.
+    left: Vec<(Attempt, u64, Attempt)>,
     heard: Heard,
 }
 
@@ -37,7 +38,7 @@ impl TickProgress {
         if self.attempt == attempt { self.next_tick } else { 0 }
     }
 
-    /// Notes a message; `first` if the recorder is to have heard this attempt from its start.
+    /// Notes a message.
     pub(crate) fn note(&mut self, place: Place) {
         let tick = place.tick.unwrap_or_default();
         self.heard.messages += 1;
@@ -45,7 +46,7 @@ impl TickProgress {
             // Who comes late has not missed what was before.
             (self.attempt, self.next_tick) = (place.attempt, tick);
         } else if place.attempt != self.attempt {
-            self.left.push((self.attempt, self.next_tick));
+            self.left.push((self.attempt, self.next_tick, place.attempt));
             (self.attempt, self.next_tick) = (place.attempt, 0);
         }
         self.heard.missed += tick.saturating_sub(self.next_tick);
@@ -54,10 +55,12 @@ impl TickProgress {
 
     /// Compares what was left with what was reported.
     pub(crate) fn settle(&mut self, reported: &BTreeMap<Attempt, u64>) {
-        for (attempt, ticks) in self.left.drain(..) {
+        for (attempt, ticks, next) in self.left.drain(..) {
             // An attempt without a report was broken: its length is nobody's business.
-            self.heard.missed +=
-                reported.get(&attempt).map_or(0, |all| all.saturating_sub(ticks));
+            for (reported, all) in reported.range(attempt..next.max(attempt)) {
+                let seen = if *reported == attempt { ticks } else { 0 };
+                self.heard.missed += all.saturating_sub(seen);
+            }
         }
     }
 
@@ -69,7 +72,7 @@ impl TickProgress {
     /// Leaves the last attempt too.
     pub(crate) fn end(&mut self, reported: &BTreeMap<Attempt, u64>) {
         if self.heard.messages > 0 {
-            self.left.push((self.attempt, self.next_tick));
+            self.left.push((self.attempt, self.next_tick, (u64::MAX, u32::MAX)));
         }
         self.settle(reported);
     }
@@ -119,8 +122,14 @@ mod tests {
         // A broken attempt has no end to miss; the last one has.
         note(&mut progress, (2, 2), 0..4);
         reported.note((2, 2), 4);
-        progress.end(reported.all());
-        assert_eq!(progress.heard(), &Heard { messages: 8, missed: 7 });
         assert_eq!((progress.ticks_of((2, 2)), progress.ticks_of((2, 1))), (4, 0));
+        // A whole batch was missed.
+        reported.note((3, 1), 10);
+        note(&mut progress, (4, 1), 0..1);
+        progress.settle(reported.all());
+        assert_eq!(progress.heard(), &Heard { messages: 9, missed: 17 });
+        reported.note((4, 1), 3);
+        progress.end(reported.all());
+        assert_eq!(progress.heard().missed, 19);
     }
 }

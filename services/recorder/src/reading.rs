@@ -69,7 +69,11 @@ impl Recording {
                 Record::Message { header, data } => {
                     let topic = channels.get(&header.channel_id).cloned().unwrap_or_default();
                     let log_time_ns = header.log_time;
-                    recording.messages.push(Message { topic, log_time_ns, data: data.into_owned() });
+                    recording.messages.push(Message {
+                        topic,
+                        log_time_ns,
+                        data: data.into_owned(),
+                    });
                 }
                 Record::Metadata(metadata) if metadata.name == BEGINNING => {
                     recording.beginning = metadata.metadata;

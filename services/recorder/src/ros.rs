@@ -170,7 +170,12 @@ fn odometry(stamp_ns: u64, pose: WirePose, odometry: &Odometry) -> Vec<u8> {
         child_frame_id: "tracked_point",
         pose: RosPose {
             position: Vector3 { x: pose.x_m, y: pose.y_m, z: 0.0 },
-            orientation: Quaternion { x: 0.0, y: 0.0, z: libm::sin(half_rad), w: libm::cos(half_rad) },
+            orientation: Quaternion {
+                x: 0.0,
+                y: 0.0,
+                z: libm::sin(half_rad),
+                w: libm::cos(half_rad),
+            },
         },
         pose_covariance: Covariance::default(),
         linear: Vector3 { x: odometry.speed_mps, ..nothing() },
@@ -242,8 +247,7 @@ impl Teller {
                 }),
             });
         }
-        let bits =
-            Command::SPEED_LIMITED | Command::STEERING_LIMITED | Command::REJECTED;
+        let bits = Command::SPEED_LIMITED | Command::STEERING_LIMITED | Command::REJECTED;
         for (slot, command) in all.iter().enumerate() {
             let gate = command.flags & bits;
             if std::mem::replace(&mut self.gate[slot], gate) == gate {
@@ -311,10 +315,8 @@ fn tell_report(bytes: &[u8], stamp_ns: u64) -> Vec<RosMessage> {
     ];
     if let Some(first) = all.first() {
         values.push(KeyValue { key: "ticks", value: first.ticks.to_string() });
-        values.push(KeyValue {
-            key: "mean_abs_cross_m",
-            value: first.mean_abs_cross_m.to_string(),
-        });
+        values
+            .push(KeyValue { key: "mean_abs_cross_m", value: first.mean_abs_cross_m.to_string() });
     }
     let what = all.first().map_or("ended", reason).to_owned();
     vec![diagnostic(stamp_ns, if collided { WARN } else { OK }, "batch", what, 0, values)]

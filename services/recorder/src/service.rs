@@ -36,7 +36,10 @@ pub fn run() -> Result<()> {
     let files = Files::first_free(attachment.folder.join(STEM), split_bytes(&attachment.folder)?);
     let before = files.before().map(|path| name_of(&path));
     if let Some(before) = &before {
-        tracing::warn!(before, "goes on in another file; what the one before has not closed is lost");
+        tracing::warn!(
+            before,
+            "goes on in another file; what the one before has not closed is lost"
+        );
     }
     let tape = Tape::start(settings(
         files,
@@ -130,8 +133,7 @@ impl Recorder {
         if is_due {
             self.granted = Some(ticks);
             let (batch, attempt) = self.batch;
-            let header =
-                BatchHeader { run: self.run, batch, attempt, flags: 0, sent_ns: now_ns() };
+            let header = BatchHeader { run: self.run, batch, attempt, flags: 0, sent_ns: now_ns() };
             let credit = Credit { ticks, source: DriveRequest::LOGGED, reserved: 0 };
             self.credits.send(header, 1, |_| credit)?;
         }

@@ -130,7 +130,11 @@ impl Tape {
     }
 
     /// Writes the rest, and ends the file in order; names it.
-    pub(crate) fn finish(mut self, rest: Vec<Sample>, end: BTreeMap<String, String>) -> Result<PathBuf> {
+    pub(crate) fn finish(
+        mut self,
+        rest: Vec<Sample>,
+        end: BTreeMap<String, String>,
+    ) -> Result<PathBuf> {
         if let Some(blocks) = &self.blocks {
             // The thread may have failed, which the join tells.
             let _ = blocks.send(rest);

@@ -209,8 +209,7 @@ mod tests {
     fn a_table_tells_every_byte() {
         for topic in topics() {
             let layout: Value = serde_json::from_str(&topic.layout).unwrap();
-            for (part, bytes) in
-                [("header", topic.header_bytes), ("element", topic.element_bytes)]
+            for (part, bytes) in [("header", topic.header_bytes), ("element", topic.element_bytes)]
             {
                 let fields = layout[part]["fields"].as_array().unwrap();
                 let told: u64 = fields.iter().map(|field| field["bytes"].as_u64().unwrap()).sum();

@@ -202,9 +202,8 @@ impl Simulator {
 /// Who records one drive asks for the next when it has the last; who records the whole run may still be
 /// busy with the batch before, and says when it is not.
 fn allowed_at_start(flags: u32) -> [(u32, u64); 2] {
-    [(DriveRequest::RECORDED, Credit::AHEAD), (DriveRequest::LOGGED, 0)].map(|(source, ahead)| {
-        (source, if has(flags, source) { ahead } else { u64::MAX })
-    })
+    [(DriveRequest::RECORDED, Credit::AHEAD), (DriveRequest::LOGGED, 0)]
+        .map(|(source, ahead)| (source, if has(flags, source) { ahead } else { u64::MAX }))
 }
 
 fn header_matches(a: TickHeader, b: TickHeader) -> bool {
