@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use clap::error::ErrorKind;
-use orchestrator::cli::{Cli, Command, HopArg, RecordArgs, ServiceCommand};
+use orchestrator::cli::{Cli, Command, HopArg, RecordArgs, ReplayArgs, ServiceCommand};
 use orchestrator::{Ended, Failure};
 use runtime::ring::Hop;
 
@@ -37,6 +37,12 @@ fn main() -> ExitCode {
             .map_err(|why| Failure::User(why.to_string()))
             .and_then(|page| orchestrator::print_line(&page.display().to_string())),
         Command::Record(args) => record(&args),
+        Command::Replay(args) => match replay(&args) {
+            Ok(true) => Ok(()),
+            // A difference is a finding, not a failure: it is printed already.
+            Ok(false) => return ExitCode::from(1),
+            Err(failure) => Err(failure),
+        },
         Command::Bench(args) => orchestrator::bench(&args),
         Command::Status { json } => orchestrator::status(json),
         Command::Stop { run } => orchestrator::stop(run.as_deref()),
@@ -88,6 +94,50 @@ fn record(args: &RecordArgs) -> Result<(), Failure> {
     orchestrator::print_line(&summary.file.display().to_string())
 }
 
+/// Replays a recording; whether nothing differed.
+fn replay(args: &ReplayArgs) -> Result<bool, Failure> {
+    let user = |why: String| Failure::User(why);
+    let recorded = replayer::check(&args.file).map_err(|why| user(format!("{why:#}")))?;
+    let config = orchestrator::replay_config(args, &recorded)?;
+    let tick_s = config.drive.tick_s;
+    let by_zone = match &args.gains {
+        None => Vec::new(),
+        Some(text) => {
+            let sets = config::Gains::parse_sets(text)
+                .map_err(|why| user(format!("--gains {text}: {why}")))?;
+            let due = config.maneuvers_due().len();
+            if sets.len() != 1 && sets.len() != due {
+                let (held, due) = (sets.len(), due);
+                return Err(user(format!("--gains {text}: holds {held} sets; give 1, or {due}")));
+            }
+            config.gains_by_zone(&sets)
+        }
+    };
+    let order = replayer::Order {
+        file: std::fs::canonicalize(&args.file)?,
+        by_zone,
+        from_tick: (args.from / tick_s).round() as u64,
+        // A file holds numbers of 63 bits.
+        to_tick: args.to.map_or(i64::MAX as u64, |to| (to / tick_s).round() as u64),
+        speed: if args.realtime { Some(1.0) } else { args.speed },
+    };
+    let text = toml::to_string(&order).map_err(anyhow::Error::from)?;
+    let outcome = orchestrator::replay(config, replayer::Order::FILE, &text)?;
+    let outcome: replayer::reviewer::Outcome =
+        serde_json::from_value(outcome).map_err(anyhow::Error::from)?;
+    let replayer::reviewer::Outcome { compared, batches, difference } = outcome;
+    let Some(it) = difference else {
+        let drives = if batches == 1 { "batch" } else { "batches" };
+        let line = format!("no difference: {compared} ticks of {batches} {drives} compared");
+        return orchestrator::print_line(&line).map(|()| true);
+    };
+    orchestrator::print_line(&format!(
+        "first difference: batch {}, tick {}, slot {}, {}.{}: recorded {}, replayed {}",
+        it.batch, it.tick, it.slot, it.topic, it.field, it.recorded, it.replayed
+    ))
+    .map(|()| false)
+}
+
 fn serve(service: ServiceCommand) -> anyhow::Result<()> {
     match service {
         ServiceCommand::Simulator => simulator::service::run(),
@@ -96,6 +146,8 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
         ServiceCommand::Trainer => trainer::service::run(),
         ServiceCommand::Schedule => trainer::schedule::run(),
         ServiceCommand::Recorder => recorder::service::run(),
+        ServiceCommand::Replayer => replayer::vehicle::run(),
+        ServiceCommand::Reviewer => replayer::reviewer::run(),
         ServiceCommand::Ring { hop, rounds } => runtime::ring::run(match hop {
             HopArg::First => Hop::First { rounds },
             HopArg::Second => Hop::Second,

@@ -50,10 +50,10 @@ impl Role {
     /// Our own services that can fill the role, the usual one first.
     pub fn own_services(self) -> &'static [&'static str] {
         match self {
-            Role::Vehicle => &["simulator"],
+            Role::Vehicle => &["simulator", "replayer"],
             Role::Controller => &["controller"],
             Role::Supervisor => &["supervisor"],
-            Role::Trainer => &["trainer", "schedule"],
+            Role::Trainer => &["trainer", "schedule", "reviewer"],
             Role::Recorder => &["recorder"],
         }
     }

@@ -30,6 +30,8 @@ pub enum Command {
     },
     /// Record a living run into an MCAP file, from now on; `--record` of train, validate and grid records all of it
     Record(RecordArgs),
+    /// Drive a recording again, and say where the answers differ from the recorded ones
+    Replay(ReplayArgs),
     /// Measure what a tick costs, beside a bare ring of the same bytes
     Bench(BenchArgs),
     /// List the living runs
@@ -230,6 +232,49 @@ pub struct RecordArgs {
     pub record_split: Option<u64>,
 }
 
+/// Options of `replay`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune replay runs/mine/recording.mcap
+  pathtune replay recording.mcap --gains 3,21,21,0.7/3.4,21,1,0.9
+  pathtune replay recording.mcap --from 25 --to 30 --realtime")]
+pub struct ReplayArgs {
+    /// The recording: of a run with --record
+    pub file: PathBuf,
+    /// Gains instead of the recorded ones; for a path with several manoeuvres a set for each
+    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    pub gains: Option<String>,
+    /// TOML file on top of the recorded configuration
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// One key on top of everything, as in --set supervisor.speed_limit_mps=3; repeatable
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Compare from this second of each drive on; it is driven from its start all the same
+    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = parse_seconds)]
+    pub from: f64,
+    /// Compare up to this second of each drive
+    #[arg(long, value_name = "S", value_parser = parse_seconds)]
+    pub to: Option<f64>,
+    /// As fast as it was driven, not as fast as it goes
+    #[arg(long)]
+    pub realtime: bool,
+    /// So many times as fast as it was driven
+    #[arg(long, value_name = "X", conflicts_with = "realtime", value_parser = parse_speed)]
+    pub speed: Option<f64>,
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|it| it.is_finite() && *it >= 0.0);
+    number.ok_or_else(|| "is no number of seconds".to_owned())
+}
+
+/// Slower than a tenth, and a tick would take longer than a frozen process is waited for.
+fn parse_speed(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|it| (0.1..=1e6).contains(it));
+    number.ok_or_else(|| "is no number from 0.1 to 1e6".to_owned())
+}
+
 /// `500ms`, `10s`, `5m`.
 fn parse_time(text: &str) -> Result<Duration, String> {
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
@@ -309,6 +354,8 @@ pub enum ServiceCommand {
     Trainer,
     Schedule,
     Recorder,
+    Replayer,
+    Reviewer,
     /// One process of the bare ring
     Ring {
         hop: HopArg,

@@ -41,16 +41,20 @@ impl Recording {
     /// # Errors
     /// If it cannot be read at all, or is no MCAP file.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes =
-            std::fs::read(path).with_context(|| format!("failed to read {}", path.display()))?;
-        Self::parse(&bytes).with_context(|| format!("{} is no recording", path.display()))
+        Self::read_only(path, |_| true)
     }
 
-    /// As [`Recording::read`], of bytes.
+    /// As [`Recording::read`], with the messages of some channels alone.
     ///
     /// # Errors
-    /// If they are no MCAP file.
-    pub fn parse(bytes: &[u8]) -> Result<Self> {
+    /// As [`Recording::read`].
+    pub fn read_only(path: &Path, wanted: impl Fn(&str) -> bool) -> Result<Self> {
+        let bytes =
+            std::fs::read(path).with_context(|| format!("failed to read {}", path.display()))?;
+        Self::parse(&bytes, wanted).with_context(|| format!("{} is no recording", path.display()))
+    }
+
+    fn parse(bytes: &[u8], wanted: impl Fn(&str) -> bool) -> Result<Self> {
         let mut recording = Self::default();
         let mut channels = BTreeMap::new();
         let mut ended = false;
@@ -67,7 +71,11 @@ impl Recording {
                     channels.insert(channel.id, channel.topic);
                 }
                 Record::Message { header, data } => {
-                    let topic = channels.get(&header.channel_id).cloned().unwrap_or_default();
+                    let topic: String =
+                        channels.get(&header.channel_id).cloned().unwrap_or_default();
+                    if !wanted(&topic) {
+                        continue;
+                    }
                     let log_time_ns = header.log_time;
                     recording.messages.push(Message {
                         topic,
