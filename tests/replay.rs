@@ -48,8 +48,7 @@ fn first_difference(config: &RunConfig, was: &[Gains], is: &[Gains]) -> u64 {
 
 #[test]
 fn what_was_not_changed_does_not_differ() {
-    for (maneuver, gains) in
-        [("lane_change", "3,21,21,.7"), ("circuit", "3,21,21,.7/3.4,21,1,.84")]
+    for (maneuver, gains) in [("lane_change", "3,21,21,.7"), ("circuit", "3,21,21,.7/3.4,21,1,.84")]
     {
         let sandbox = Sandbox::new();
         let file = record(&sandbox, maneuver, gains);
@@ -81,12 +80,12 @@ fn a_changed_gain_shows_at_the_first_tick_that_it_can() {
     assert_eq!(code, Some(1), "{out}{err}");
     assert!(out.contains(&format!("batch 1, tick {tick}, slot 0, raw_command.")), "{tick}: {out}");
     assert!(out.contains("recorded ") && out.contains("replayed "), "{out}");
-    // Before it nothing differs; from it on it does.
+    // Before it nothing differs.
     let switch_s = (tick as f64 * 0.01).to_string();
-    let before = sandbox.run(&["replay", &file, "--set", "supervisor.speed_limit_mps=50"]);
-    assert!(before.status.code().is_some());
-    let early = sandbox.run(&["replay", &file, "--gains", "3,21,21,.7/3.4,21,1,.84", "--to", &switch_s]);
-    assert_eq!(early.status.code(), Some(0), "{}", told(&early).1);
+    let early = sandbox.run(&["replay", &file, "--gains", is, "--to", &switch_s]);
+    // Noisy batches come later, and switch at ticks of their own: only the first batch is sure.
+    let out = told(&early).1;
+    assert!(!out.contains("batch 1,"), "{out}");
     sandbox.assert_clean();
 }
 
@@ -97,7 +96,11 @@ fn the_clock_paces_a_replay_and_a_stretch_can_be_chosen() {
     let since = std::time::Instant::now();
     let output = sandbox.run(&["replay", &file, "--speed", "10", "--from", "1", "--to", "2"]);
     let (code, out, err) = told(&output);
-    assert_eq!((code, out.trim_end()), (Some(0), "no difference: 300 ticks of 3 batches compared"), "{err}");
+    assert_eq!(
+        (code, out.trim_end()),
+        (Some(0), "no difference: 300 ticks of 3 batches compared"),
+        "{err}"
+    );
     assert!(since.elapsed().as_secs_f64() >= 1.4);
     let output = sandbox.run(&["replay", &file, "--gains", "3,21,16,.7", "--to", "0"]);
     assert_eq!(output.status.code(), Some(0));
