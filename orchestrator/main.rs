@@ -6,7 +6,9 @@ use std::time::Duration;
 use clap::Parser;
 use clap::error::ErrorKind;
 use monitor::MonitorError;
-use orchestrator::cli::{Cli, Command, HopArg, MonitorArgs, ServiceCommand};
+use orchestrator::cli::{
+    Cli, Command, HopArg, MonitorArgs, RecordArgs, ReplayArgs, ServiceCommand,
+};
 use orchestrator::{Ended, Failure, LivingRun};
 use runtime::clock::now_ns;
 use runtime::ring::Hop;
@@ -38,6 +40,13 @@ fn main() -> ExitCode {
         Command::Report { run } => report::write_report(&run)
             .map_err(|why| Failure::User(why.to_string()))
             .and_then(|page| orchestrator::print_line(&page.display().to_string())),
+        Command::Record(args) => record(&args),
+        Command::Replay(args) => match replay(&args) {
+            Ok(true) => Ok(()),
+            // A difference is a finding, not a failure: it is printed already.
+            Ok(false) => return ExitCode::from(1),
+            Err(failure) => Err(failure),
+        },
         Command::Bench(args) => orchestrator::bench(&args),
         Command::Monitor(args) => look(args),
         Command::Status { json } => orchestrator::status(json),
@@ -77,6 +86,75 @@ fn look(args: MonitorArgs) -> Result<(), Failure> {
     })
 }
 
+/// Records a living run from another terminal.
+fn record(args: &RecordArgs) -> Result<(), Failure> {
+    let run = orchestrator::living_run(args.run.as_deref())?;
+    if let Some(out) = args.out.as_deref().filter(|out| out.exists()) {
+        return Err(Failure::User(format!("--out {}: is there already", out.display())));
+    }
+    let options = recorder::attached::Options {
+        names: run.names,
+        folder: run.folder,
+        out: args.out.clone(),
+        time: args.time,
+        split_bytes: args.record_split,
+    };
+    let summary =
+        recorder::attached::record(&options).map_err(|why| Failure::User(format!("{why:#}")))?;
+    // A loss is no failure: an observer may not stop a vehicle. It is never silent, though.
+    if let Some(gaps) = summary.gaps() {
+        eprintln!("pathtune: the recording has gaps: {gaps}");
+    }
+    if !summary.behind.is_zero() {
+        eprintln!("pathtune: could not keep up for {:.1} s", summary.behind.as_secs_f64());
+    }
+    orchestrator::print_line(&summary.file.display().to_string())
+}
+
+/// Replays a recording; whether nothing differed.
+fn replay(args: &ReplayArgs) -> Result<bool, Failure> {
+    let user = |why: String| Failure::User(why);
+    let recorded = replayer::check(&args.file).map_err(|why| user(format!("{why:#}")))?;
+    let config = orchestrator::replay_config(args, &recorded)?;
+    let tick_s = config.drive.tick_s;
+    let by_zone = match &args.gains {
+        None => Vec::new(),
+        Some(text) => {
+            let sets = config::Gains::parse_sets(text)
+                .map_err(|why| user(format!("--gains {text}: {why}")))?;
+            let due = config.maneuvers_due().len();
+            if sets.len() != 1 && sets.len() != due {
+                let (held, due) = (sets.len(), due);
+                return Err(user(format!("--gains {text}: holds {held} sets; give 1, or {due}")));
+            }
+            config.gains_by_zone(&sets)
+        }
+    };
+    let order = replayer::Order {
+        file: std::fs::canonicalize(&args.file)?,
+        by_zone,
+        from_tick: (args.from / tick_s).round() as u64,
+        // A file holds numbers of 63 bits.
+        to_tick: args.to.map_or(i64::MAX as u64, |to| (to / tick_s).round() as u64),
+        speed: if args.realtime { Some(1.0) } else { args.speed },
+    };
+    let text = toml::to_string(&order).map_err(anyhow::Error::from)?;
+    let outcome = orchestrator::replay(config, replayer::Order::FILE, &text)?;
+    let outcome: replayer::reviewer::Outcome =
+        serde_json::from_value(outcome).map_err(anyhow::Error::from)?;
+    let replayer::reviewer::Outcome { compared, batches, difference } = outcome;
+    let Some(it) = difference else {
+        let drives = if batches == 1 { "batch" } else { "batches" };
+        let line = format!("no difference: {compared} ticks of {batches} {drives} compared");
+        return orchestrator::print_line(&line).map(|()| true);
+    };
+    orchestrator::print_line(&format!(
+        "first difference: batch {}, tick {}, slot {}, {}.{}: recorded {}, replayed {}",
+        it.batch, it.tick, it.slot, it.topic, it.field, it.recorded, it.replayed
+    ))
+    .map(|()| false)
+}
+
 fn serve(service: ServiceCommand) -> anyhow::Result<()> {
     match service {
         ServiceCommand::Simulator => simulator::service::run(),
@@ -89,6 +167,9 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
             runtime::ring::run_over_streams(to_hop(hop, rounds))
         }
         ServiceCommand::Calls => time_calls(),
+        ServiceCommand::Recorder => recorder::service::run(),
+        ServiceCommand::Replayer => replayer::vehicle::run(),
+        ServiceCommand::Reviewer => replayer::reviewer::run(),
         ServiceCommand::Cleaner => runtime::cleanup::run_helper(),
         ServiceCommand::Wake { pid, after_ms } => {
             runtime::chaos::wake_later(pid, Duration::from_millis(after_ms));

@@ -17,11 +17,19 @@ pub enum Role {
     Supervisor,
     /// Proposes gains, learns from reports.
     Trainer,
+    /// Writes down whatever is said; there may be none.
+    Recorder,
 }
 
 impl Role {
     /// Every role.
-    pub const ALL: [Role; 4] = [Role::Vehicle, Role::Supervisor, Role::Controller, Role::Trainer];
+    pub const ALL: [Role; 5] =
+        [Role::Vehicle, Role::Supervisor, Role::Controller, Role::Trainer, Role::Recorder];
+
+    /// Whether a pipeline can do without it.
+    pub fn is_optional(self) -> bool {
+        self == Role::Recorder
+    }
 
     /// The role's name in launch files.
     pub fn name(self) -> &'static str {
@@ -30,6 +38,7 @@ impl Role {
             Role::Controller => "controller",
             Role::Supervisor => "supervisor",
             Role::Trainer => "trainer",
+            Role::Recorder => "recorder",
         }
     }
 
@@ -41,10 +50,11 @@ impl Role {
     /// Our own services that can fill the role, the usual one first.
     pub fn own_services(self) -> &'static [&'static str] {
         match self {
-            Role::Vehicle => &["simulator"],
+            Role::Vehicle => &["simulator", "replayer"],
             Role::Controller => &["controller"],
             Role::Supervisor => &["supervisor"],
-            Role::Trainer => &["trainer", "schedule"],
+            Role::Trainer => &["trainer", "schedule", "reviewer"],
+            Role::Recorder => &["recorder"],
         }
     }
 }
@@ -67,6 +77,9 @@ pub struct ProcessEntry {
     /// Restarts that it gets in ten seconds, where that differs from the others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub restart_budget: Option<u32>,
+    /// Size at which the recorder goes on in another file; only of our recorder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub split_bytes: Option<u64>,
 }
 
 impl ProcessEntry {
@@ -125,12 +138,37 @@ impl Launch {
         }
         for role in Role::ALL {
             let times = launch.process.iter().filter(|entry| entry.role == role).count();
-            if times != 1 {
+            if times != 1 && !(times == 0 && role.is_optional()) {
                 let problem = format!("the role {} is filled {times} times, not once", role.name());
                 return Err(ConfigError::new(origin, "process", problem));
             }
         }
         Ok(launch)
+    }
+
+    /// Adds our recorder, where there is none yet; `split_bytes` bounds the size of its files.
+    ///
+    /// It starts first, and so stops last: it hears everything, from the first sign of life to the outcome.
+    pub fn record(&mut self, split_bytes: Option<u64>) {
+        let of_recorder = |entry: &&mut ProcessEntry| entry.role == Role::Recorder;
+        if let Some(entry) = self.process.iter_mut().find(of_recorder) {
+            entry.split_bytes = split_bytes.or(entry.split_bytes);
+            return;
+        }
+        let entry = ProcessEntry {
+            role: Role::Recorder,
+            command: None,
+            service: None,
+            deterministic: None,
+            restart_budget: None,
+            split_bytes,
+        };
+        self.process.insert(0, entry);
+    }
+
+    /// Whether the run is recorded from its first tick on.
+    pub fn is_recorded(&self) -> bool {
+        self.process.iter().any(|entry| entry.role == Role::Recorder)
     }
 
     /// Puts another service of ours in a role, where no command fills it and no service is named.
@@ -157,6 +195,10 @@ impl Launch {
         };
         if command.trim().is_empty() {
             return Err(ConfigError::new(origin, role.name(), "the command is empty"));
+        }
+        if !self.process.iter().any(|entry| entry.role == role) {
+            let problem = "no process has this role; --record adds the recorder";
+            return Err(ConfigError::new(origin, role.name(), problem));
         }
         for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
             entry.command = Some(command.to_owned());
@@ -185,7 +227,7 @@ mod tests {
     #[test]
     fn the_preset_fills_each_role_with_our_own_service() {
         let launch = Launch::train();
-        assert_eq!(launch.process.len(), Role::ALL.len());
+        assert_eq!(launch.process.len(), Role::ALL.len() - 1);
         assert!(launch.process.iter().all(ProcessEntry::is_deterministic));
     }
 
@@ -211,5 +253,21 @@ mod tests {
         assert!(launch.replace("vehicle").is_err());
         assert!(launch.replace("pilot=x").is_err());
         assert!(launch.replace("vehicle= ").is_err());
+        assert!(launch.replace("recorder=x").is_err());
+    }
+
+    #[test]
+    fn a_recorder_is_added_once_and_survives_the_file() {
+        let mut launch = Launch::train();
+        assert!(!launch.is_recorded());
+        launch.record(None);
+        launch.record(Some(1 << 20));
+        assert!(launch.is_recorded());
+        assert_eq!(launch.process.len(), Role::ALL.len());
+        assert_eq!(launch.process[0].split_bytes, Some(1 << 20));
+        let text = toml::to_string(&launch).unwrap();
+        assert_eq!(Launch::parse("launch.toml", &text).unwrap(), launch);
+        let twice = format!("{text}\n[[process]]\nrole = 'recorder'\n");
+        assert!(Launch::parse("launch.toml", &twice).is_err());
     }
 }

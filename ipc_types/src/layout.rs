@@ -11,6 +11,41 @@ pub struct Field {
     pub offset: usize,
 }
 
+/// What can be written byte by byte, as it lies in memory: little endian, field after field.
+///
+/// There is no padding that is not a field, so what is written equals the memory of a little endian machine.
+pub trait Bytes: Sized {
+    /// Adds the value's bytes.
+    fn put(&self, to: &mut Vec<u8>);
+    /// Takes a value off the front; none if there are too few bytes.
+    fn take(from: &mut &[u8]) -> Option<Self>;
+}
+
+macro_rules! number {
+    ($($kind:ty),+) => {
+        $(impl Bytes for $kind {
+            fn put(&self, to: &mut Vec<u8>) {
+                to.extend_from_slice(&self.to_le_bytes());
+            }
+
+            fn take(from: &mut &[u8]) -> Option<Self> {
+                let (bytes, rest) = from.split_first_chunk()?;
+                *from = rest;
+                Some(Self::from_le_bytes(*bytes))
+            }
+        })+
+    };
+}
+number!(u32, u64, f64);
+
+/// A struct whose fields are known.
+pub trait Layout: Bytes {
+    /// Name on the wire; ends in the hash of the layout.
+    const TYPE_NAME: &'static str;
+    /// The fields, in order.
+    const FIELDS: &'static [Field];
+}
+
 /// FNV-1a over a message's fields and size.
 pub const fn hash(fields: &[Field], size: usize) -> u32 {
     let mut hash = 0x811c_9dc5;
@@ -107,6 +142,21 @@ macro_rules! message {
             /// Hash of the layout.
             pub const LAYOUT_HASH: u32 =
                 $crate::layout::hash(Self::FIELDS, std::mem::size_of::<Self>());
+        }
+
+        impl $crate::layout::Bytes for $name {
+            fn put(&self, to: &mut Vec<u8>) {
+                $($crate::layout::Bytes::put(&self.$field, to);)+
+            }
+
+            fn take(from: &mut &[u8]) -> Option<Self> {
+                Some(Self { $($field: $crate::layout::Bytes::take(from)?),+ })
+            }
+        }
+
+        impl $crate::layout::Layout for $name {
+            const TYPE_NAME: &'static str = $name::TYPE_NAME;
+            const FIELDS: &'static [$crate::layout::Field] = $name::FIELDS;
         }
 
         const _: () = {

@@ -207,16 +207,21 @@ message!(
 
 message!(
     /// How far a recorder has got. Sent by the recorder; a vehicle in lockstep does not run ahead of it.
-    #[name = "pathtune.Credit#2dd55834"]
+    #[name = "pathtune.Credit#6394cb7d"]
     pub struct Credit {
-        /// Ticks that the recorder has taken over.
+        /// Ticks of the batch that the recorder has taken over.
         pub ticks: u64,
+        /// Which recorder it is: the bit of [`DriveRequest::flags`] that asks for it.
+        pub source: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
     }
 );
 
 impl Credit {
-    /// A vehicle in lockstep publishes tick k of a recorded batch only when `ticks + AHEAD > k`. Half of an
-    /// observer's buffer: nothing is lost, and nobody waits while the recorder keeps up.
+    /// A vehicle in lockstep publishes tick k of a recorded batch only when `ticks + AHEAD > k`, for the newest
+    /// credit of each recorder that the batch's flags ask for. Half of an observer's buffer: nothing is lost,
+    /// and nobody waits while the recorders keep up.
     pub const AHEAD: u64 = crate::topics::OBSERVER_BUFFER as u64 / 2;
 }
 
@@ -274,8 +279,12 @@ impl DriveRequest {
     pub const NOISE: u32 = 1;
     /// The gains change with the zone: the controller awaits a [`GainSwitch`] behind each [`Zone`].
     pub const SCHEDULED: u32 = 2;
-    /// The batch is recorded without a gap: a vehicle in lockstep waits for the recorder's [`Credit`].
+    /// The drive is recorded without a gap by whoever asked for it: a vehicle in lockstep waits for the
+    /// trainer's [`Credit`].
     pub const RECORDED: u32 = 4;
+    /// The whole run is recorded without a gap: a vehicle in lockstep waits for the recorder's [`Credit`], tick 0
+    /// included.
+    pub const LOGGED: u32 = 8;
 }
 
 message!(
@@ -399,6 +408,8 @@ impl Status {
     pub const CONTROLLER: u32 = 3;
     /// Value of `role`.
     pub const TRAINER: u32 = 4;
+    /// Value of `role`.
+    pub const RECORDER: u32 = 5;
     /// Value of `state`: all ports exist.
     pub const READY: u32 = 1;
     /// Bit of `pacing`: publishes at its own rate, does not wait for commands.

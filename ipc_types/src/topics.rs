@@ -2,6 +2,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::layout::Layout;
 use crate::{
     BatchHeader, Command, Credit, DriveOutcome, DriveReport, DriveRequest, GainSwitch,
     LearnerProgress, Odometry, Proposal, RawCommand, Status, TickHeader, TrackingError, Zone,
@@ -16,16 +17,18 @@ pub enum WakeRole {
     Supervisor,
     Trainer,
     Orchestrator,
+    Recorder,
 }
 
 impl WakeRole {
     /// Every role.
-    pub const ALL: [WakeRole; 5] = [
+    pub const ALL: [WakeRole; 6] = [
         WakeRole::Vehicle,
         WakeRole::Controller,
         WakeRole::Supervisor,
         WakeRole::Trainer,
         WakeRole::Orchestrator,
+        WakeRole::Recorder,
     ];
 
     /// Name of the event that wakes the role.
@@ -36,6 +39,7 @@ impl WakeRole {
             WakeRole::Supervisor => "wake/supervisor",
             WakeRole::Trainer => "wake/trainer",
             WakeRole::Orchestrator => "wake/orchestrator",
+            WakeRole::Recorder => "wake/recorder",
         }
     }
 }
@@ -56,9 +60,9 @@ pub struct Topic {
 }
 
 /// A message with its topic.
-pub trait Message: ZeroCopySend + Copy + Default + std::fmt::Debug + 'static {
+pub trait Message: ZeroCopySend + Layout + Copy + Default + std::fmt::Debug + 'static {
     /// What each message carries beside its elements.
-    type Header: ZeroCopySend + Copy + Default + std::fmt::Debug + 'static;
+    type Header: ZeroCopySend + Layout + Copy + Default + std::fmt::Debug + 'static;
     /// The topic.
     const TOPIC: Topic;
 }
@@ -92,7 +96,7 @@ macro_rules! topics {
     };
 }
 
-use WakeRole::{Controller, Orchestrator, Supervisor, Trainer, Vehicle};
+use WakeRole::{Controller, Orchestrator, Recorder, Supervisor, Trainer, Vehicle};
 
 topics! {
     // Once a tick. One tick is in flight at a time, so a buffer of 2 loses nothing.
@@ -105,14 +109,14 @@ topics! {
     TrackingError, TickHeader, "tracking_error", wakes &[],
         history 0, buffer 2, publishers 1;
     // Between ticks. The last one is kept for late joiners.
-    DriveRequest, BatchHeader, "drive_request", wakes &[Vehicle, Controller, Supervisor],
+    DriveRequest, BatchHeader, "drive_request", wakes &[Vehicle, Controller, Supervisor, Recorder],
         history 1, buffer 2, publishers 1;
     Zone, BatchHeader, "zone", wakes &[Trainer],
         history 1, buffer 16, publishers 1;
     GainSwitch, BatchHeader, "gains", wakes &[Controller],
         history 1, buffer 16, publishers 1;
     Credit, BatchHeader, "credit", wakes &[Vehicle],
-        history 1, buffer 2, publishers 1;
+        history 1, buffer 2, publishers 2;
     DriveReport, BatchHeader, "drive_report", wakes &[Orchestrator],
         history 1, buffer 2, publishers 1;
     DriveOutcome, BatchHeader, "drive_outcome", wakes &[Trainer],

@@ -29,6 +29,10 @@ pub enum Command {
         /// The run's folder
         run: PathBuf,
     },
+    /// Record a living run into an MCAP file, from now on; `--record` of train, validate and grid records all of it
+    Record(RecordArgs),
+    /// Drive a recording again, and say where the answers differ from the recorded ones
+    Replay(ReplayArgs),
     /// Measure what a tick costs, beside a bare ring of the same bytes
     Bench(BenchArgs),
     /// Look into a living run: how long each hop takes, how regular the ticks are
@@ -96,7 +100,7 @@ pub struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "tuner", "out",
-            "config", "set", "launch", "replace", "path", "vehicle",
+            "config", "set", "launch", "replace", "path", "vehicle", "record", "record_split",
         ]
     )]
     pub resume: Option<PathBuf>,
@@ -188,6 +192,12 @@ pub struct SetupArgs {
     /// A program of yours in a role (vehicle, supervisor, controller, trainer); repeatable
     #[arg(long, value_name = "ROLE=COMMAND")]
     pub replace: Vec<String>,
+    /// Record the run from its first tick, without a loss, into recording.mcap in its folder
+    #[arg(long)]
+    pub record: bool,
+    /// Go on in another file (recording-0001.mcap, …) at this size, as in 500M
+    #[arg(long, value_name = "SIZE", requires = "record", value_parser = parse_size)]
+    pub record_split: Option<u64>,
     /// Restarts that each process gets in ten seconds
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub restart_budget: u32,
@@ -203,6 +213,102 @@ pub struct SetupArgs {
     /// Print result.json instead of the table
     #[arg(long)]
     pub json: bool,
+}
+
+/// Options of `record`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune record
+  pathtune record --run 3f --out drive.mcap --for 10s")]
+pub struct RecordArgs {
+    /// The start of the run's number, or its folder; may be left out if there is only one
+    #[arg(long, value_name = "RUN")]
+    pub run: Option<String>,
+    /// The file [default: recording.mcap in the run's folder, or the next free number]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// How long, as in 10s or 500ms [default: until the run ends]
+    #[arg(long = "for", value_name = "TIME", value_parser = parse_time)]
+    pub time: Option<Duration>,
+    /// Go on in another file at this size, as in 500M
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
+    pub record_split: Option<u64>,
+}
+
+/// Options of `replay`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune replay runs/mine/recording.mcap
+  pathtune replay recording.mcap --gains 3,21,21,0.7/3.4,21,1,0.9
+  pathtune replay recording.mcap --from 25 --to 30 --realtime")]
+pub struct ReplayArgs {
+    /// The recording: of a run with --record
+    pub file: PathBuf,
+    /// Gains instead of the recorded ones; for a path with several manoeuvres a set for each
+    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    pub gains: Option<String>,
+    /// TOML file on top of the recorded configuration
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// One key on top of everything, as in --set supervisor.speed_limit_mps=3; repeatable
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Compare from this second of each drive on; it is driven from its start all the same
+    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = parse_seconds)]
+    pub from: f64,
+    /// Compare up to this second of each drive
+    #[arg(long, value_name = "S", value_parser = parse_seconds)]
+    pub to: Option<f64>,
+    /// As fast as it was driven, not as fast as it goes
+    #[arg(long)]
+    pub realtime: bool,
+    /// So many times as fast as it was driven
+    #[arg(long, value_name = "X", conflicts_with = "realtime", value_parser = parse_speed)]
+    pub speed: Option<f64>,
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|it| it.is_finite() && *it >= 0.0);
+    number.ok_or_else(|| "is no number of seconds".to_owned())
+}
+
+/// Slower than a tenth, and a tick would take longer than a frozen process is waited for.
+fn parse_speed(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|it| (0.1..=1e6).contains(it));
+    number.ok_or_else(|| "is no number from 0.1 to 1e6".to_owned())
+}
+
+/// `500ms`, `10s`, `5m`.
+fn parse_time(text: &str) -> Result<Duration, String> {
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let unit_s = match &text[split..] {
+        "ms" => 1e-3,
+        "s" => 1.0,
+        "m" => 60.0,
+        "h" => 3600.0,
+        _ => return Err("is no time; write 500ms, 10s or 5m".to_owned()),
+    };
+    let time_s = text[..split].parse::<f64>().ok().map(|number| number * unit_s);
+    time_s
+        .and_then(|time_s| Duration::try_from_secs_f64(time_s).ok())
+        .ok_or_else(|| "is no time; write 500ms, 10s or 5m".to_owned())
+}
+
+/// `64k`, `500M`, `2G`: powers of 1024.
+fn parse_size(text: &str) -> Result<u64, String> {
+    let why = || "is no size; write 500M or 2G, and at least 64k".to_owned();
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let shift =
+        match text[split..].to_ascii_lowercase().trim_end_matches("ib").trim_end_matches('b') {
+            "" => 0,
+            "k" => 10,
+            "m" => 20,
+            "g" => 30,
+            "t" => 40,
+            _ => return Err(why()),
+        };
+    let number: u64 = text[..split].parse().map_err(|_| why())?;
+    number.checked_mul(1 << shift).filter(|size| *size >= 64 << 10).ok_or_else(why)
 }
 
 /// Options of `bench`.
@@ -291,6 +397,9 @@ pub enum ServiceCommand {
     Supervisor,
     Trainer,
     Schedule,
+    Recorder,
+    Replayer,
+    Reviewer,
     /// One process of the bare ring
     Ring {
         hop: HopArg,

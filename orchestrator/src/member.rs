@@ -82,6 +82,7 @@ impl Member {
             Role::Supervisor => Status::SUPERVISOR,
             Role::Controller => Status::CONTROLLER,
             Role::Trainer => Status::TRAINER,
+            Role::Recorder => Status::RECORDER,
         }
     }
 
@@ -93,8 +94,9 @@ impl Member {
         self.incarnation += 1;
         self.refused_before = self.all_refused();
         self.refused = (0, 0);
-        // Only the ring shares a core; the trainer works while the ring rests.
-        let core = attachment.core.filter(|_| self.entry.role != Role::Trainer);
+        // Only the ring shares a core; the trainer works while the ring rests, the recorder beside it.
+        let in_ring = !matches!(self.entry.role, Role::Trainer | Role::Recorder);
+        let core = attachment.core.filter(|_| in_ring);
         let attachment = Attachment { incarnation: self.incarnation, core, ..attachment.clone() };
         let process = Process::start(&self.entry, &attachment, &self.log).map_err(|error| {
             anyhow::Error::new(error).context(format!("failed to start the {}", self.name))

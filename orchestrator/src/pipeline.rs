@@ -142,6 +142,10 @@ impl<'a> Pipeline<'a> {
         let learners = if plan.sweep.is_some() { u32::MAX } else { config.run.alphas.len() as u32 };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
+        let mut sequencer = Sequencer::new(names.run, start, config.fleet(), learners);
+        if plan.launch.is_recorded() {
+            sequencer.log_all();
+        }
         let members = plan.launch.process.iter().map(|entry| Member::new(entry, plan)).collect();
         Ok(Self {
             attachment: Attachment {
@@ -162,7 +166,7 @@ impl<'a> Pipeline<'a> {
             outcomes: bus.outlet()?,
             bus,
             members,
-            sequencer: Sequencer::new(names.run, start, config.fleet(), learners),
+            sequencer,
             progress,
             interrupted: plan.interrupted.clone(),
             batch_is_broken: false,

@@ -17,6 +17,8 @@ pub struct Sequencer {
     fleet: usize,
     /// Drives of these learners are counted; others are made beside them.
     learners: u32,
+    /// Bits that every request carries.
+    flags: u32,
     batch: u64,
     attempt: u32,
     proposals: Vec<Proposal>,
@@ -49,6 +51,7 @@ impl Sequencer {
             start,
             fleet,
             learners,
+            flags: 0,
             batch: 0,
             attempt: 0,
             proposals: Vec::new(),
@@ -56,6 +59,11 @@ impl Sequencer {
             outcomes: BTreeMap::new(),
             counts: Counts::default(),
         }
+    }
+
+    /// Lets every vehicle in lockstep wait for the recorder of the run.
+    pub fn log_all(&mut self) {
+        self.flags |= DriveRequest::LOGGED;
     }
 
     /// Bounds the fleet by what the vehicle can drive at once.
@@ -102,7 +110,7 @@ impl Sequencer {
                 ticks: proposal.ticks,
                 learner: proposal.learner,
                 step: proposal.step,
-                flags: proposal.flags,
+                flags: proposal.flags | self.flags,
                 reserved: 0,
             })
             .collect();

@@ -56,6 +56,9 @@ pub(crate) fn launch(args: &SetupArgs, service: Option<&str>) -> Result<Launch, 
         None => Launch::train(),
         Some(file) => Launch::parse(&file.display().to_string(), &read(file, "--launch")?)?,
     };
+    if args.record {
+        launch.record(args.record_split);
+    }
     for replacement in &args.replace {
         launch.replace(replacement)?;
     }

@@ -107,9 +107,10 @@ fn parse_place(text: &str) -> Result<(WakeRole, u64, u64), String> {
         "controller" => WakeRole::Controller,
         "supervisor" => WakeRole::Supervisor,
         "trainer" => WakeRole::Trainer,
+        "recorder" => WakeRole::Recorder,
         _ => {
             return Err(format!(
-                "{role} is no role; there are simulator, controller, supervisor, trainer"
+                "{role} is no role; there are simulator, controller, supervisor, trainer, recorder"
             ));
         }
     };

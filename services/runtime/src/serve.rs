@@ -188,6 +188,7 @@ impl Heartbeat {
             WakeRole::Vehicle => Status::VEHICLE,
             WakeRole::Supervisor => Status::SUPERVISOR,
             WakeRole::Controller => Status::CONTROLLER,
+            WakeRole::Recorder => Status::RECORDER,
             WakeRole::Trainer | WakeRole::Orchestrator => Status::TRAINER,
         };
         Ok(Self {

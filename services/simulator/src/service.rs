@@ -35,9 +35,9 @@ struct Simulator {
     slots: Vec<Slot>,
     /// Header of the odometry that waits for its command; none between batches.
     waiting: Option<TickHeader>,
-    /// Ticks that may be published: without end, unless the batch is recorded.
-    allowed: u64,
-    /// Header of the odometry that waits for the recorder.
+    /// Ticks that each recorder allows to be published: without end, unless the batch asks for it.
+    allowed: [(u32, u64); 2],
+    /// Header of the odometry that waits for a recorder.
     held_back: Option<TickHeader>,
     counters: Counters,
 }
@@ -59,7 +59,7 @@ impl Simulator {
             config,
             slots: Vec::new(),
             waiting: None,
-            allowed: u64::MAX,
+            allowed: allowed_at_start(0),
             held_back: None,
             counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
         })
@@ -87,8 +87,7 @@ impl Simulator {
             slot.vehicle.reset(Pose { x_m, y_m, yaw_rad }, noise);
             slot.ended = false;
         }
-        let recorded = requests.iter().any(|it| has(it.flags, DriveRequest::RECORDED));
-        self.allowed = if recorded { Credit::AHEAD } else { u64::MAX };
+        self.allowed = allowed_at_start(requests.iter().fold(0, |flags, it| flags | it.flags));
         self.publish(TickHeader {
             run: self.run,
             batch: header.batch,
@@ -98,7 +97,7 @@ impl Simulator {
     }
 
     fn publish(&mut self, mut header: TickHeader) -> Result<()> {
-        if header.tick >= self.allowed {
+        if self.allowed.iter().any(|(_, allowed)| header.tick >= *allowed) {
             self.held_back = Some(header);
             return Ok(());
         }
@@ -171,23 +170,40 @@ impl Slot {
 }
 
 impl Simulator {
-    /// Publishes what was held back, once the recorder has got far enough.
+    /// Publishes what was held back, once every recorder has got far enough.
     fn catch_up(&mut self, held_back: TickHeader) -> Result<bool> {
-        let Some(credit) = self.credits.receive_newest()? else { return Ok(false) };
-        let (header, Some(credit)) = (credit.header(), credit.items().first()) else {
-            return Ok(false);
-        };
-        if (header.run, header.batch, header.attempt)
-            != (self.run, held_back.batch, held_back.attempt)
-        {
-            self.counters.dropped += 1;
-            return Ok(true);
+        let mut any = false;
+        // All of them: the newest one may be another recorder's.
+        while let Some(credit) = self.credits.receive()? {
+            any = true;
+            let header = credit.header();
+            let is_of_batch = (header.run, header.batch, header.attempt)
+                == (self.run, held_back.batch, held_back.attempt);
+            let Some(credit) = credit.items().first().filter(|_| is_of_batch) else {
+                self.counters.dropped += 1;
+                continue;
+            };
+            for (source, allowed) in &mut self.allowed {
+                if *source == credit.source {
+                    *allowed = (*allowed).max(credit.ticks.saturating_add(Credit::AHEAD));
+                }
+            }
         }
-        self.allowed = self.allowed.max(credit.ticks.saturating_add(Credit::AHEAD));
-        self.held_back = None;
-        self.publish(held_back)?;
-        Ok(true)
+        if any {
+            self.held_back = None;
+            self.publish(held_back)?;
+        }
+        Ok(any)
     }
+}
+
+/// Ticks that each recorder allows at the start of a batch with these flags.
+///
+/// Who records one drive asks for the next when it has the last; who records the whole run may still be
+/// busy with the batch before, and says when it is not.
+fn allowed_at_start(flags: u32) -> [(u32, u64); 2] {
+    [(DriveRequest::RECORDED, Credit::AHEAD), (DriveRequest::LOGGED, 0)]
+        .map(|(source, ahead)| (source, if has(flags, source) { ahead } else { u64::MAX }))
 }
 
 fn header_matches(a: TickHeader, b: TickHeader) -> bool {

@@ -183,6 +183,15 @@ fn to_command(passed: Passed, ended: bool, zone: usize) -> Command {
 impl Service for Supervisor {
     fn poll(&mut self) -> Result<bool> {
         if let Some(request) = self.requests.receive_newest()? {
+            // The last raw command of a batch is sent before its report, and so before the next request: whoever
+            // records is owed its command.
+            while let Some(raw) = self.raw_commands.receive()? {
+                if self.is_of_batch(raw.header(), raw.items().len()) {
+                    self.pass(raw.header(), raw.items())?;
+                } else {
+                    self.early = Some(raw);
+                }
+            }
             self.start_batch(request.header(), request.items());
             return Ok(true);
         }

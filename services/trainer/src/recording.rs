@@ -154,7 +154,8 @@ impl Recorder {
         if self.ticks >= self.credited + CREDIT_EVERY {
             self.credited = self.ticks;
             let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
-            let credit = Credit { ticks: self.ticks };
+            let source = DriveRequest::RECORDED;
+            let credit = Credit { ticks: self.ticks, source, reserved: 0 };
             self.credits.send(header, 1, |_| credit)?;
         }
         Ok(any)

@@ -1,0 +1,107 @@
+//! `pathtune replay`: a recording through the ordinary pipeline, its vehicle and its trainer replaced.
+
+use std::fs;
+use std::time::Duration;
+
+use anyhow::Context;
+use config::RunConfig;
+use config::launch::{Launch, Role};
+use runtime::run::sweep_dead_runs;
+use serde_json::Value;
+use toml::{Table, Value as Toml};
+
+use crate::cli::ReplayArgs;
+use crate::pipeline::{Interrupts, Plan};
+use crate::restart::Budget;
+use crate::setup::read;
+use crate::train::run;
+use crate::{Failure, preflight};
+
+/// The recorded configuration, with what the user puts on top of it.
+///
+/// # Errors
+/// The user's mistakes.
+pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Failure> {
+    let mut config: Table = toml::from_str(recorded).context("the recorded configuration")?;
+    if let Some(file) = &args.config {
+        let origin = file.display();
+        let text = read(file, "--config")?;
+        let layer: Table = toml::from_str(&text)
+            .map_err(|why| Failure::User(format!("--config {origin}: {}", why.message())))?;
+        lay(&mut config, layer);
+    }
+    for assignment in &args.set {
+        let wrong = |why: &str| Failure::User(format!("--set {assignment}: {why}"));
+        let Some((key, value)) = assignment.split_once('=') else {
+            return Err(wrong("has no '='; write --set key=value"));
+        };
+        // What is no number, flag or list is a word.
+        let value = toml::from_str::<Table>(&format!("it = {value}"))
+            .ok()
+            .and_then(|mut table| table.remove("it"))
+            .unwrap_or_else(|| Toml::String(value.trim().to_owned()));
+        let (path, last) = key.trim().rsplit_once('.').unwrap_or(("", key.trim()));
+        let mut table = &mut config;
+        for part in path.split('.').filter(|part| !part.is_empty()) {
+            table = table
+                .get_mut(part)
+                .and_then(Toml::as_table_mut)
+                .ok_or_else(|| wrong("no such key in the recorded configuration"))?;
+        }
+        let Some(old) = table.get_mut(last) else {
+            return Err(wrong("no such key in the recorded configuration"));
+        };
+        // A whole number will do where the key holds any.
+        *old = match (&*old, value) {
+            (Toml::Float(_), Toml::Integer(whole)) => Toml::Float(whole as f64),
+            (_, value) => value,
+        };
+    }
+    let text = toml::to_string(&config).context("the configuration")?;
+    Ok(RunConfig::from_resolved(&text)?)
+}
+
+/// Lays a document over another.
+fn lay(under: &mut Table, over: Table) {
+    for (key, value) in over {
+        match (under.get_mut(&key), value) {
+            (Some(Toml::Table(under)), Toml::Table(over)) => lay(under, over),
+            (_, value) => {
+                under.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Runs a replay in a folder of its own, removed afterwards; returns its outcome. `order` is what the processes are
+/// told, in a file of the name `order_file`.
+///
+/// # Errors
+/// If the pipeline cannot be kept alive; the folder then stays, with its logs.
+pub fn replay(config: RunConfig, order_file: &str, order: &str) -> Result<Value, Failure> {
+    let interrupted = Interrupts::new()?;
+    let mut launch = Launch::train();
+    launch.prefer_service(Role::Vehicle, "replayer");
+    launch.prefer_service(Role::Trainer, "reviewer");
+    sweep_dead_runs();
+    preflight::check_shared_memory(config.fleet().max(config.run.alphas.len()))?;
+    let name = format!("pathtune-replay-{}", std::process::id());
+    let folder = preflight::make_folder(&std::env::temp_dir().join(name))?;
+    let _lock = preflight::lock_folder(&folder)?;
+    fs::write(folder.join(order_file), order)?;
+    let plan = Plan {
+        config,
+        launch,
+        sweep: None,
+        folder,
+        budget: Budget { restarts: 5, within: Duration::from_secs(10) },
+        chaos: None,
+        quiet: true,
+        interrupted,
+    };
+    run(&plan)?;
+    let outcome = fs::read(plan.folder.join("outcome.json")).context("the outcome")?;
+    let outcome = serde_json::from_slice(&outcome).context("the outcome")?;
+    fs::remove_dir_all(&plan.folder)?;
+    Ok(outcome)
+}

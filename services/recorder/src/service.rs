@@ -1,0 +1,156 @@
+//! The recorder's process: it hears the run from its first tick on, and loses nothing.
+//!
+//! A vehicle in lockstep waits for its credit. The first one of a batch is granted only when everything before it
+//! was heard, so that what is under way always fits into an observer's buffer. A recorder that was restarted goes on
+//! in another file, whose metadata says so.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use config::RunConfig;
+use config::launch::{Launch, Role};
+use ipc_types::{BatchHeader, Credit, DriveRequest, WakeRole};
+use runtime::clock::now_ns;
+use runtime::{Attachment, Counters, Outlet, Service, join, serve};
+use serde_json::Value;
+
+use crate::layout_digest;
+use crate::listener::{Listener, Look};
+use crate::tape::{Files, Settings, Tape, name_of};
+
+/// Ticks between two credits: a quarter of what the vehicle may run ahead.
+const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
+/// Name of a run's recording, without number and ending.
+pub(crate) const STEM: &str = "recording";
+/// Files of a run's folder that are attached to its recording.
+const ATTACHED: [&str; 3] = ["config.toml", "launch.toml", "sweep.toml"];
+
+/// Runs the process until it is asked to stop.
+///
+/// # Errors
+/// If it cannot join the run, the file cannot be written, or the transport fails.
+pub fn run() -> Result<()> {
+    let (attachment, bus, config) = join()?;
+    let files = Files::first_free(attachment.folder.join(STEM), split_bytes(&attachment.folder)?);
+    let before = files.before().map(|path| name_of(&path));
+    if let Some(before) = &before {
+        tracing::warn!(
+            before,
+            "goes on in another file; what the one before has not closed is lost"
+        );
+    }
+    let tape = Tape::start(settings(
+        files,
+        &attachment.folder,
+        &config,
+        attachment.names.run,
+        before.is_none(),
+    ))?;
+    let mut recorder = Recorder {
+        listener: Listener::new(&bus, tape)?,
+        credits: bus.outlet()?,
+        run: attachment.names.run,
+        batch: (0, 0),
+        granted: None,
+    };
+    serve(&attachment, &bus, WakeRole::Recorder, &mut recorder)?;
+    let summary = recorder.listener.finish(digest(&attachment))?;
+    if let Some(gaps) = summary.gaps() {
+        tracing::warn!("the recording has gaps: {gaps}");
+    }
+    if !summary.behind.is_zero() {
+        tracing::warn!(behind = ?summary.behind, "could not keep up: a vehicle in lockstep has waited so long");
+    }
+    tracing::info!(file = %summary.file.display(), messages = summary.messages(), "recorded");
+    Ok(())
+}
+
+/// What a recording's files have in common.
+pub(crate) fn settings(
+    files: Files,
+    folder: &Path,
+    config: &RunConfig,
+    run: u64,
+    from_first_tick: bool,
+) -> Settings {
+    let beginning = BTreeMap::from(
+        [
+            ("version", env!("CARGO_PKG_VERSION").to_owned()),
+            ("layout", layout_digest()),
+            ("run", format!("{run:016x}")),
+            ("maneuver", config.maneuver.clone()),
+            ("seed", config.run.seed.to_string()),
+            ("tick_s", config.drive.tick_s.to_string()),
+            ("from_first_tick", from_first_tick.to_string()),
+        ]
+        .map(|(key, value)| (key.to_owned(), value)),
+    );
+    let attachments = ATTACHED
+        .iter()
+        .filter_map(|name| Some(((*name).to_owned(), fs::read(folder.join(name)).ok()?)))
+        .collect();
+    Settings { files, tick_s: config.drive.tick_s, beginning, attachments }
+}
+
+/// What the launch file says of the size of files.
+fn split_bytes(folder: &Path) -> Result<Option<u64>> {
+    let path = folder.join("launch.toml");
+    let text = fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
+    let launch = Launch::parse("launch.toml", &text)?;
+    Ok(launch.process.iter().find(|it| it.role == Role::Recorder).and_then(|it| it.split_bytes))
+}
+
+/// The digest of a run that has come to its end: the recorder stops last, when the outcome is written.
+fn digest(attachment: &Attachment) -> Option<String> {
+    let bytes = fs::read(attachment.folder.join("outcome.json")).ok()?;
+    let outcome: Value = serde_json::from_slice(&bytes).ok()?;
+    Some(outcome["digest"].as_str()?.to_owned())
+}
+
+struct Recorder {
+    listener: Listener,
+    credits: Outlet<Credit>,
+    run: u64,
+    /// The attempt that was requested last.
+    batch: (u64, u32),
+    /// Ticks that were granted for it; none before the first grant.
+    granted: Option<u64>,
+}
+
+impl Recorder {
+    fn grant(&mut self, look: Look) -> Result<()> {
+        let Some(requested) = self.listener.requested else { return Ok(()) };
+        if requested.attempt != self.batch {
+            (self.batch, self.granted) = (requested.attempt, None);
+        }
+        let ticks = self.listener.ticks_of(self.batch);
+        let is_due = match self.granted {
+            None => matches!(look, Look::All | Look::Nothing),
+            Some(granted) => ticks >= granted + CREDIT_EVERY,
+        };
+        if is_due {
+            self.granted = Some(ticks);
+            let (batch, attempt) = self.batch;
+            let header = BatchHeader { run: self.run, batch, attempt, flags: 0, sent_ns: now_ns() };
+            let credit = Credit { ticks, source: DriveRequest::LOGGED, reserved: 0 };
+            self.credits.send(header, 1, |_| credit)?;
+        }
+        Ok(())
+    }
+}
+
+impl Service for Recorder {
+    fn poll(&mut self) -> Result<bool> {
+        let look = self.listener.listen()?;
+        self.grant(look)?;
+        Ok(look != Look::Nothing)
+    }
+
+    fn status(&self) -> Counters {
+        let (batch, _) = self.batch;
+        let tick = self.listener.ticks_of(self.batch);
+        Counters { batch, tick, ..Counters::default() }
+    }
+}

@@ -1,0 +1,128 @@
+//! What is to be replayed: the batches of a recording that were driven to their end.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use config::Gains;
+use ipc_types::layout::Bytes;
+use ipc_types::{BatchHeader, DriveRequest, GainSwitch, TickHeader};
+use recorder::layout_digest;
+use recorder::reading::Recording;
+use serde::{Deserialize, Serialize};
+
+/// What the processes of a replay are told: a file in the run's folder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Order {
+    /// The recording.
+    pub file: PathBuf,
+    /// Ticks of each drive that are compared: from this one on.
+    pub from_tick: u64,
+    /// Up to, and without, this one.
+    pub to_tick: u64,
+    /// How much faster than real time; none for as fast as it goes.
+    pub speed: Option<f64>,
+    /// Gains by zone instead of the recorded ones; none of them for the recorded ones.
+    pub by_zone: Vec<Gains>,
+}
+
+impl Order {
+    /// Name of the file in the run's folder.
+    pub const FILE: &'static str = "replay.toml";
+
+    /// Reads the order of a run.
+    ///
+    /// # Errors
+    /// If there is none, or it cannot be understood.
+    pub fn read(folder: &Path) -> Result<Self> {
+        let path = folder.join(Self::FILE);
+        let text =
+            std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
+        Ok(toml::from_str(&text)?)
+    }
+}
+
+/// Checks that a recording can be replayed; returns its configuration.
+///
+/// # Errors
+/// Says in one line why it cannot.
+pub fn check(file: &Path) -> Result<String> {
+    let recording = Recording::read_only(file, |_| false)?;
+    let beginning = |key: &str| recording.beginning.get(key).map(String::as_str);
+    let why = |why: &str| format!("{} {why}", file.display());
+    ensure!(!recording.beginning.is_empty(), why("is no recording of ours"));
+    ensure!(
+        beginning("layout") == Some(&layout_digest()),
+        why("was recorded by a version whose messages have another layout")
+    );
+    let end = recording.end.as_ref().filter(|_| recording.cut_off.is_none());
+    let Some(end) = end else { bail!(why("was cut off: its end is missing")) };
+    ensure!(
+        beginning("from_first_tick") == Some("true"),
+        why("does not begin with the first tick of its run; record it with --record")
+    );
+    ensure!(
+        beginning("file") == Some("1") && !end.contains_key("continued_in"),
+        why("is one part of a split recording")
+    );
+    ensure!(
+        end.get("gaps").is_some_and(|gaps| gaps == "0"),
+        why("has gaps: what is not there cannot be compared")
+    );
+    let config = recording.attachments.get("config.toml");
+    let Some(config) = config else { bail!(why("holds no configuration")) };
+    Ok(String::from_utf8(config.clone())?)
+}
+
+/// A batch as it was driven.
+#[derive(Debug, Default)]
+pub(crate) struct Batch {
+    /// Its number in the recording.
+    pub(crate) number: u64,
+    pub(crate) requests: Vec<DriveRequest>,
+    pub(crate) switches: Vec<GainSwitch>,
+    /// Elements of the topics that are replayed or compared, tick by tick, as bytes.
+    pub(crate) ticks: BTreeMap<&'static str, Vec<Vec<u8>>>,
+}
+
+/// Reads the batches of a recording that were driven to their end, each in its last attempt, with these topics.
+pub(crate) fn batches(file: &Path, topics: &[&'static str]) -> Result<Vec<Batch>> {
+    let others = ["drive_request", "drive_report", "gains"];
+    let recording = Recording::read_only(file, |channel| {
+        let name = channel.strip_prefix("/pathtune/").unwrap_or_default();
+        others.contains(&name) || topics.contains(&name)
+    })?;
+    let mut reported = BTreeMap::new();
+    for message in recording.of("drive_report") {
+        let header = BatchHeader::take(&mut &message.data[..]).context("a report")?;
+        reported.insert(header.batch, header.attempt);
+    }
+    let mut all: BTreeMap<u64, Batch> = BTreeMap::new();
+    for message in &recording.messages {
+        let name = message.topic.strip_prefix("/pathtune/").unwrap_or_default();
+        let mut bytes = &message.data[..];
+        let per_tick = topics.iter().find(|topic| **topic == name);
+        let (batch, attempt) = match per_tick {
+            Some(_) => TickHeader::take(&mut bytes).map(|it| (it.batch, it.attempt)),
+            None => BatchHeader::take(&mut bytes).map(|it| (it.batch, it.attempt)),
+        }
+        .context("a header")?;
+        if reported.get(&batch) != Some(&attempt) {
+            continue;
+        }
+        let of = all.entry(batch).or_default();
+        of.number = batch;
+        match (per_tick, name) {
+            (Some(topic), _) => of.ticks.entry(topic).or_default().push(bytes.to_vec()),
+            (None, "drive_request") => of.requests = parse::<DriveRequest>(bytes),
+            (None, "gains") => of.switches.extend(parse::<GainSwitch>(bytes)),
+            _ => {}
+        }
+    }
+    Ok(all.into_values().filter(|batch| !batch.requests.is_empty()).collect())
+}
+
+pub(crate) fn parse<M: Bytes>(mut bytes: &[u8]) -> Vec<M> {
+    std::iter::from_fn(|| M::take(&mut bytes)).collect()
+}

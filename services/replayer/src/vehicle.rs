@@ -1,0 +1,173 @@
+//! The vehicle's role, filled with recorded odometry: commands move nothing, they only bring the next tick.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use config::MAX_FLEET;
+use ipc_types::{BatchHeader, Command, Credit, DriveRequest, Odometry, TickHeader, WakeRole, has};
+use runtime::clock::now_ns;
+use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
+
+use crate::script::{Batch, Order, batches, parse};
+
+/// Runs the process until it is asked to stop.
+///
+/// # Errors
+/// If it cannot join the run, the recording cannot be read, or the transport fails.
+pub fn run() -> Result<()> {
+    let (attachment, bus, config) = join()?;
+    attachment.pin();
+    let order = Order::read(&attachment.folder)?;
+    let batches = batches(&order.file, &["odometry"])?;
+    let tick_ns = order.speed.map(|speed| (config.drive.tick_s * 1e9 / speed) as u64);
+    let mut replayer = Replayer::new(&bus, attachment.names.run, batches, tick_ns)?;
+    serve(&attachment, &bus, WakeRole::Vehicle, &mut replayer)
+}
+
+struct Replayer {
+    requests: Inlet<DriveRequest>,
+    commands: Inlet<Command>,
+    credits: Inlet<Credit>,
+    odometry: Outlet<Odometry>,
+    run: u64,
+    batches: Vec<Batch>,
+    /// Between two ticks, where the clock paces.
+    tick_ns: Option<u64>,
+    started_ns: u64,
+    /// The batch that is replayed, as an index.
+    batch: usize,
+    ended: Vec<bool>,
+    /// Header of the odometry that waits for its command.
+    waiting: Option<TickHeader>,
+    /// Header of the odometry that waits for the reviewer, or for its time.
+    held_back: Option<TickHeader>,
+    allowed: u64,
+    counters: Counters,
+}
+
+impl Replayer {
+    fn new(bus: &Bus, run: u64, batches: Vec<Batch>, tick_ns: Option<u64>) -> Result<Self> {
+        Ok(Self {
+            requests: bus.inlet()?,
+            commands: bus.inlet()?,
+            credits: bus.inlet()?,
+            odometry: bus.outlet()?,
+            run,
+            batches,
+            tick_ns,
+            started_ns: 0,
+            batch: 0,
+            ended: Vec::new(),
+            waiting: None,
+            held_back: None,
+            allowed: 0,
+            counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
+        })
+    }
+
+    fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) {
+        (self.waiting, self.held_back) = (None, None);
+        // The reviewer numbers its steps by the batches of the recording.
+        let batch = requests.first().map_or(usize::MAX, |request| request.step as usize);
+        let fits = self.batches.get(batch).is_some_and(|it| it.requests.len() == requests.len());
+        if header.run != self.run || !fits {
+            self.counters.dropped += 1;
+            return;
+        }
+        self.batch = batch;
+        self.ended = vec![false; requests.len()];
+        self.allowed = Credit::AHEAD;
+        self.started_ns = now_ns();
+        self.held_back = Some(TickHeader {
+            run: self.run,
+            batch: header.batch,
+            attempt: header.attempt,
+            ..TickHeader::default()
+        });
+    }
+
+    /// Publishes what was held back, once it may be.
+    fn publish(&mut self, mut header: TickHeader) -> Result<bool> {
+        while let Some(credit) = self.credits.receive()? {
+            let of = credit.header();
+            if (of.run, of.batch, of.attempt) == (self.run, header.batch, header.attempt) {
+                let ticks = credit.items().first().map_or(0, |credit| credit.ticks);
+                self.allowed = self.allowed.max(ticks + Credit::AHEAD);
+            }
+        }
+        if header.tick >= self.allowed {
+            return Ok(false);
+        }
+        let due_ns = self.started_ns + header.tick * self.tick_ns.unwrap_or_default();
+        let early_ns = due_ns.saturating_sub(now_ns());
+        if early_ns > 0 {
+            // A nap at a time: requests and signs of life go on.
+            std::thread::sleep(Duration::from_nanos(early_ns.min(1_000_000)));
+            return Ok(true);
+        }
+        self.held_back = None;
+        let recorded = &self.batches[self.batch].ticks["odometry"];
+        let is_beyond = header.tick as usize >= recorded.len();
+        let bytes =
+            recorded.get(header.tick as usize).or(recorded.last()).context("no odometry")?;
+        let odometry: Vec<Odometry> = parse(bytes);
+        // Who drives on beyond the end of the recording is told to end.
+        let more = if is_beyond { Odometry::COLLISION } else { 0 };
+        header.odometry_sent_ns = now_ns();
+        (self.counters.batch, self.counters.tick) = (header.batch, header.tick);
+        self.odometry.send(header, self.ended.len(), |slot| {
+            let mut seen = odometry.get(slot).copied().unwrap_or_default();
+            seen.status |= more;
+            seen
+        })?;
+        self.waiting = Some(header);
+        Ok(true)
+    }
+
+    fn obey(&mut self, header: TickHeader, commands: &[Command]) {
+        let fits = self.waiting.is_some_and(|waiting| {
+            (header.run, header.batch, header.attempt, header.tick)
+                == (waiting.run, waiting.batch, waiting.attempt, waiting.tick)
+        });
+        if !fits || commands.len() != self.ended.len() {
+            self.counters.dropped += 1;
+            return;
+        }
+        self.waiting = None;
+        for (ended, command) in self.ended.iter_mut().zip(commands) {
+            *ended |= has(command.flags, Command::ENDED);
+        }
+        if !self.ended.iter().all(|ended| *ended) {
+            self.held_back = Some(TickHeader {
+                run: self.run,
+                batch: header.batch,
+                attempt: header.attempt,
+                tick: header.tick + 1,
+                applied_ns: now_ns(),
+                ..TickHeader::default()
+            });
+        }
+    }
+}
+
+impl Service for Replayer {
+    fn poll(&mut self) -> Result<bool> {
+        if let Some(request) = self.requests.receive_newest()? {
+            self.start_batch(request.header(), request.items());
+            return Ok(true);
+        }
+        if let Some(held_back) = self.held_back {
+            return self.publish(held_back);
+        }
+        let Some(command) = self.commands.receive()? else { return Ok(false) };
+        self.obey(command.header(), command.items());
+        if let Some(held_back) = self.held_back {
+            self.publish(held_back)?;
+        }
+        Ok(true)
+    }
+
+    fn status(&self) -> Counters {
+        self.counters
+    }
+}

@@ -1,0 +1,133 @@
+//! Replays: nothing differs where nothing was changed, and what was changed shows at the first tick that it can.
+
+mod support;
+
+use std::fs;
+use std::process::Output;
+
+use config::{Gains, Layers, RunConfig};
+use rollout::Rollout;
+use support::Sandbox;
+
+fn config(maneuver: &str) -> RunConfig {
+    let mut layers = Layers::maneuver(maneuver).unwrap();
+    layers.set("collision.enabled=true").unwrap();
+    layers.resolve().unwrap()
+}
+
+fn record(sandbox: &Sandbox, maneuver: &str, gains: &str) -> String {
+    let args = ["validate", maneuver, "--repeats", "2", "--gains", gains, "--record"];
+    sandbox.json("out", &[&args[..], &["--fleet", "1"]].concat());
+    sandbox.path("out/recording.mcap").display().to_string()
+}
+
+/// Exit code, standard output and standard error.
+fn told(output: &Output) -> (Option<i32>, String, String) {
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code(), text(&output.stdout), text(&output.stderr))
+}
+
+/// The commands of a noise-free drive along recorded poses: those of the drive that was recorded, answered with other
+/// gains. Returns the first tick whose raw command differs.
+fn first_difference(config: &RunConfig, was: &[Gains], is: &[Gains]) -> u64 {
+    let mut recorded = Vec::new();
+    let by_zone = config.gains_by_zone(was);
+    Rollout::new(config).drive_scheduled(&by_zone, None, |_, record| recorded.push(*record));
+    let mut replayed = Vec::new();
+    let by_zone = config.gains_by_zone(is);
+    Rollout::new(config).drive_scheduled(&by_zone, None, |_, record| replayed.push(*record));
+    // Until the first difference both drives are the same, poses included.
+    let differs = recorded.iter().zip(&replayed).position(|(was, is)| {
+        let (was, is) = (was.decision.command, is.decision.command);
+        was.speed_mps.to_bits() != is.speed_mps.to_bits()
+            || was.yaw_rate_radps.to_bits() != is.yaw_rate_radps.to_bits()
+            || was.steering_rad.to_bits() != is.steering_rad.to_bits()
+    });
+    differs.unwrap() as u64
+}
+
+#[test]
+fn what_was_not_changed_does_not_differ() {
+    for (maneuver, gains) in [("lane_change", "3,21,21,.7"), ("circuit", "3,21,21,.7/3.4,21,1,.84")]
+    {
+        let sandbox = Sandbox::new();
+        let file = record(&sandbox, maneuver, gains);
+        for more in [&[][..], &["--gains", gains]] {
+            let output = sandbox.run(&[&["replay", &file][..], more].concat());
+            let (code, out, err) = told(&output);
+            assert_eq!(code, Some(0), "{out}{err}");
+            let ticks = 3 * config(maneuver).ticks();
+            assert!(out.starts_with("no difference: "), "{out}");
+            if maneuver == "circuit" {
+                continue;
+            }
+            assert!(out.contains(&format!("{ticks} ticks of 3 batches")), "{out}");
+        }
+        sandbox.assert_clean();
+    }
+}
+
+#[test]
+fn a_changed_gain_shows_at_the_first_tick_that_it_can() {
+    let sandbox = Sandbox::new();
+    let (was, is) = ("3,21,21,.7/3.4,21,1,.84", "3,21,21,.7/3.4,21,1.5,.84");
+    let file = record(&sandbox, "circuit", was);
+    let config = config("circuit");
+    let parse = |text: &str| Gains::parse_sets(text).unwrap();
+    let tick = first_difference(&config, &parse(was), &parse(is));
+    let output = sandbox.run(&["replay", &file, "--gains", is]);
+    let (code, out, err) = told(&output);
+    assert_eq!(code, Some(1), "{out}{err}");
+    assert!(out.contains(&format!("batch 1, tick {tick}, slot 0, raw_command.")), "{tick}: {out}");
+    assert!(out.contains("recorded ") && out.contains("replayed "), "{out}");
+    // Before it nothing differs.
+    let switch_s = (tick as f64 * 0.01).to_string();
+    let early = sandbox.run(&["replay", &file, "--gains", is, "--to", &switch_s]);
+    // Noisy batches come later, and switch at ticks of their own: only the first batch is sure.
+    let out = told(&early).1;
+    assert!(!out.contains("batch 1,"), "{out}");
+    sandbox.assert_clean();
+}
+
+#[test]
+fn the_clock_paces_a_replay_and_a_stretch_can_be_chosen() {
+    let sandbox = Sandbox::new();
+    let file = record(&sandbox, "lane_change", "3,21,21,.7");
+    let since = std::time::Instant::now();
+    let output = sandbox.run(&["replay", &file, "--speed", "10", "--from", "1", "--to", "2"]);
+    let (code, out, err) = told(&output);
+    assert_eq!(
+        (code, out.trim_end()),
+        (Some(0), "no difference: 300 ticks of 3 batches compared"),
+        "{err}"
+    );
+    assert!(since.elapsed().as_secs_f64() >= 1.4);
+    let output = sandbox.run(&["replay", &file, "--gains", "3,21,16,.7", "--to", "0"]);
+    assert_eq!(output.status.code(), Some(0));
+    sandbox.assert_clean();
+}
+
+#[test]
+fn what_cannot_be_compared_is_refused() {
+    let sandbox = Sandbox::new();
+    let file = record(&sandbox, "lane_change", "3,21,21,.7");
+    let bytes = fs::read(&file).unwrap();
+    let cut = sandbox.path("cut.mcap");
+    fs::write(&cut, &bytes[..bytes.len() - bytes.len() / 4]).unwrap();
+    let text = sandbox.path("text.mcap");
+    fs::write(&text, "x_m,y_m\n").unwrap();
+    for (file, more, part) in [
+        (cut.display().to_string(), &[][..], "cut off"),
+        (text.display().to_string(), &[], "no recording"),
+        (sandbox.path("none.mcap").display().to_string(), &[], "failed to read"),
+        (file.clone(), &["--gains", "3,21,21"], "holds 3 numbers"),
+        (file.clone(), &["--set", "drive.colour=1"], "no such key"),
+        (file, &["--speed", "0"], "--speed"),
+    ] {
+        let output = sandbox.run(&[&["replay", &file][..], more].concat());
+        let (code, out, err) = told(&output);
+        assert_eq!(code, Some(64), "{part}: {out}{err}");
+        assert!(err.contains(part) && err.trim_end().lines().count() == 1, "{part}: {err}");
+    }
+    sandbox.assert_clean();
+}
