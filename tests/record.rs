@@ -241,8 +241,9 @@ fn a_file_cut_off_by_a_kill_is_read_up_to_its_last_chunk() {
 #[test]
 fn a_run_is_recorded_from_another_terminal() {
     let sandbox = Sandbox::new();
-    let alone = sandbox.train("alone", &["lane_change", "--no-memo"]);
-    let mut training = sandbox.start_training("out", &["lane_change", "--no-memo"]);
+    let args = ["lane_change", "--no-memo", "--episodes", "40"];
+    let alone = sandbox.train("alone", &args);
+    let mut training = sandbox.start_training("out", &args);
     training.wait_until_it_drives();
     let mine = sandbox.run(&["record", "--out", "mine.mcap", "--for", "500ms"]);
     assert!(mine.status.success(), "{}", String::from_utf8_lossy(&mine.stderr));

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use ipc_types::layout::Bytes;
+use ipc_types::topics::OBSERVER_BUFFER;
 use ipc_types::{BatchHeader, DriveReport};
 use runtime::Bus;
 
@@ -140,7 +141,15 @@ impl Listener {
 
     /// Hears what is left, ends the file, and tells what was missed.
     pub(crate) fn finish(mut self, digest: Option<String>) -> Result<Summary> {
-        while !matches!(self.listen()?, Look::Nothing) {}
+        // What had come by now fits into a buffer; of a run that goes on, more comes for ever.
+        let mut looks = 0;
+        while looks <= OBSERVER_BUFFER / AT_ONCE {
+            match self.listen()? {
+                Look::Nothing => break,
+                Look::Behind => {}
+                Look::Some | Look::All => looks += 1,
+            }
+        }
         let topics = topics();
         let mut summary = Summary { behind: self.behind, ..Summary::default() };
         for (topic, ticks) in &mut self.ticks {
