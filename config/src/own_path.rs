@@ -246,7 +246,8 @@ mod tests {
         let mut slow = Layers::maneuver("lane_change").unwrap();
         slow.set("reference.speed_mps=0.001").unwrap();
         slow.add_path(&file).unwrap();
-        assert_eq!(slow.resolve().unwrap().drive.loop_time_s, 3600.0);
+        // Longer than any drive may last: said, rather than cut short.
+        assert!(slow.resolve().unwrap_err().to_string().contains("drive.loop_time_s"));
         let mut none = Layers::maneuver("lane_change").unwrap();
         none.set("reference.speed_mps=0.0").unwrap();
         none.add_path(&file).unwrap();
