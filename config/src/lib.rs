@@ -9,6 +9,7 @@
 //! SI units and radians throughout; the suffix of a key is its unit.
 
 mod error;
+mod grid;
 pub mod launch;
 mod layers;
 mod own_path;
@@ -21,6 +22,7 @@ mod sweep;
 mod validate;
 
 pub use error::ConfigError;
+pub use grid::{Axis, Grid, GridPosition};
 pub use layers::Layers;
 pub use presets::{Preset, maneuver_names, nearest, presets};
 pub use schema::*;

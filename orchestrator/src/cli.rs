@@ -168,7 +168,7 @@ pub struct GridArgs {
 /// Options of every command that runs a pipeline.
 #[derive(Debug, Args)]
 pub struct SetupArgs {
-    /// A path of your own: CSV with x_m,y_m[,v_mps], or a raceline with ';'; a TOML file beside it may hold zones
+    /// A path of your own: CSV with x_m,y_m and perhaps v_mps, or a raceline with ';'; a TOML file beside it may hold zones
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
     /// A vehicle: a preset, or a file on top of the default one

@@ -255,7 +255,7 @@ fn print_how_it_went(result: &Value) -> Result<(), Failure> {
 }
 
 /// A table without lines, its numbers to the right.
-fn table_of(header: &[&str]) -> Table {
+pub(crate) fn table_of(header: &[&str]) -> Table {
     let mut table = Table::new();
     table.load_style(NOTHING).set_header(header);
     for column in table.column_iter_mut().skip(1) {

@@ -4,14 +4,13 @@
 mod pipelines;
 mod rings;
 
-use comfy_table::presets::NOTHING;
-use comfy_table::{CellAlignment, Table};
 use serde_json::{Value, json};
 
 use self::pipelines::{pipeline, pipelines, waiting};
 use self::rings::{Transport, calls, ring};
 use crate::Failure;
 use crate::cli::BenchArgs;
+use crate::tables::table_of;
 use crate::terminal::{say, tell};
 
 /// Nanoseconds a tick.
@@ -224,14 +223,4 @@ fn medians(timings: &[Timing]) -> Timing {
 
 fn known(number: f64) -> Option<f64> {
     number.is_finite().then_some(number)
-}
-
-/// A table without lines, its numbers to the right.
-fn table_of(header: &[&str]) -> Table {
-    let mut table = Table::new();
-    table.load_style(NOTHING).set_header(header);
-    for column in table.column_iter_mut().skip(1) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    table
 }
