@@ -437,6 +437,7 @@ pub struct Run {
     pub alphas: Vec<f64>,
     pub fleet: u32,
     pub memo: bool,
+    pub realtime: bool,
 }
 
 choice!(
@@ -483,4 +484,25 @@ pub struct Vehicle {
     pub gear_reverse_s: f64,
     pub gear_poll_s: f64,
     pub gear_speed_mps: f64,
+    pub safety: Safety,
+}
+
+/// Limits of what may reach the vehicle, and of what may be believed of it. `inf` switches a limit off.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in vehicles/tesla_model_3.toml")]
+pub struct Safety {
+    pub acceleration_limit_mps2: f64,
+    pub deceleration_limit_mps2: f64,
+    pub jerk_limit_mps3: f64,
+    pub reverse_limit_mps: f64,
+    pub steering_rate_limit_radps: f64,
+    pub lateral_acceleration_limit_mps2: f64,
+    pub stop_deceleration_mps2: f64,
+    pub standstill_mps: f64,
+    pub jump_limit_m: f64,
+    pub jump_limit_rad: f64,
+    pub degraded_limit_s: f64,
+    pub answer_age_limit_s: f64,
+    pub command_age_limit_s: f64,
 }

@@ -181,7 +181,29 @@ fn run(config: &RunConfig) -> Result<(), Problem> {
     whole("run.fleet", run.fleet.into(), 0, MAX_FLEET.into())
 }
 
+fn safety(config: &RunConfig) -> Result<(), Problem> {
+    let s = &config.vehicle.safety;
+    for (key, limit) in [
+        ("acceleration_limit_mps2", s.acceleration_limit_mps2),
+        ("deceleration_limit_mps2", s.deceleration_limit_mps2),
+        ("jerk_limit_mps3", s.jerk_limit_mps3),
+        ("steering_rate_limit_radps", s.steering_rate_limit_radps),
+        ("lateral_acceleration_limit_mps2", s.lateral_acceleration_limit_mps2),
+        ("jump_limit_m", s.jump_limit_m),
+        ("jump_limit_rad", s.jump_limit_rad),
+    ] {
+        above(&format!("vehicle.safety.{key}"), limit, 0.0, f64::INFINITY)?;
+    }
+    within("vehicle.safety.reverse_limit_mps", s.reverse_limit_mps, 0.0, f64::INFINITY)?;
+    above("vehicle.safety.stop_deceleration_mps2", s.stop_deceleration_mps2, 0.0, 100.0)?;
+    above("vehicle.safety.standstill_mps", s.standstill_mps, 0.0, 1.0)?;
+    within("vehicle.safety.degraded_limit_s", s.degraded_limit_s, 0.0, 10.0)?;
+    above("vehicle.safety.answer_age_limit_s", s.answer_age_limit_s, 0.0, 10.0)?;
+    above("vehicle.safety.command_age_limit_s", s.command_age_limit_s, 0.0, 10.0)
+}
+
 fn vehicle(config: &RunConfig) -> Result<(), Problem> {
+    safety(config)?;
     let v = &config.vehicle;
     within("vehicle.wheelbase_m", v.wheelbase_m, 0.01, 20.0)?;
     within("vehicle.tracked_point_m", v.tracked_point_m, -20.0, 20.0)?;

@@ -96,13 +96,15 @@ impl Odometry {
     pub const HAS_TRUTH: u32 = 1;
     /// The vehicle has collided.
     pub const COLLISION: u32 = 2;
-    /// This slot's drive has ended; the other fields stand still.
+    /// This slot's drive has ended; in lockstep the other fields stand still.
     pub const ENDED: u32 = 4;
+    /// The newest command is older than `vehicle.safety.command_age_limit_s`: the vehicle stops on its own.
+    pub const OWN_STOP: u32 = 8;
 }
 
 message!(
     /// What the control law wants. Sent by the controller.
-    #[name = "pathtune.RawCommand#b85967c3"]
+    #[name = "pathtune.RawCommand#621c7db2"]
     pub struct RawCommand {
         /// v: forward speed; may be negative.
         pub speed_mps: f64,
@@ -112,12 +114,19 @@ message!(
         pub steering_rad: f64,
         /// Progress of the reference along the path.
         pub reference_along_m: f64,
-        /// [`Command::ENDED`] or 0.
+        /// Where along the path the reference's clock last started from rest; 0 at the start of a drive.
+        pub origin_m: f64,
+        /// Ticks of the reference's clock since then. It stands still while the gate stops the vehicle.
+        pub phase: u32,
+        /// The bits below, and [`Command::ENDED`].
         pub flags: u32,
-        /// Explicit padding; 0.
-        pub reserved: u32,
     }
 );
+
+impl RawCommand {
+    /// The reference stands still: the controller has heard that the gate stops the vehicle.
+    pub const FROZEN: u32 = 1 << 16;
+}
 
 message!(
     /// What the vehicle is to do. Sent by the supervisor.
@@ -129,7 +138,7 @@ message!(
         pub yaw_rate_radps: f64,
         /// Angle of the road wheels, positive to the left.
         pub steering_rad: f64,
-        /// The bits below.
+        /// The bits below: what the gate did to the raw command, and why.
         pub flags: u32,
         /// The zone that the vehicle is in.
         pub zone: u32,
@@ -143,9 +152,84 @@ impl Command {
     pub const SPEED_LIMITED: u32 = 2;
     /// The gate brought the steering angle into its range.
     pub const STEERING_LIMITED: u32 = 4;
-    /// The raw command was not finite; the gate put a stop in its place.
+    /// The raw command was not finite; the gate put one of its own in its place.
     pub const REJECTED: u32 = 8;
+    /// The gate bounded how fast the speed changes: acceleration, deceleration or jerk.
+    pub const ACCELERATION_LIMITED: u32 = 16;
+    /// The gate bounded how fast the steering angle changes.
+    pub const STEERING_RATE_LIMITED: u32 = 32;
+    /// The gate bounded speed or steering angle for the lateral acceleration.
+    pub const LATERAL_LIMITED: u32 = 64;
+    /// The gate slows down, with the steering held, and goes on when what it misses comes back.
+    pub const DEGRADED: u32 = 128;
+    /// The gate brings the vehicle to a stop, straight on, and then holds it until it is rearmed.
+    pub const STOPPING: u32 = 256;
+    /// The vehicle stands, and is held until it is rearmed.
+    pub const STOPPED: u32 = 512;
 }
+
+message!(
+    /// What the gate of one vehicle does, and why. Sent by the supervisor with every command in real time, in lockstep
+    /// when `state` changes; the last one is kept for late joiners.
+    #[name = "pathtune.Safety#ee97816b"]
+    pub struct Safety {
+        /// Tick of the odometry that it rests on.
+        pub tick: u64,
+        /// [`RawCommand::origin_m`] of the last answer.
+        pub origin_m: f64,
+        /// Angle that was commanded last: the state of the law's filter.
+        pub steering_rad: f64,
+        /// Commands that were changed since the start of the drive.
+        pub changed: u64,
+        /// Commands of the gate's own since the start of the drive: degraded, stopping or stopped.
+        pub own: u64,
+        /// [`RawCommand::phase`] of the last answer.
+        pub phase: u32,
+        /// One of [`Safety::NORMAL`] and the values behind it.
+        pub state: u32,
+        /// Bits of what is wrong now, or was when the vehicle was stopped.
+        pub reasons: u32,
+        /// 1 if an answer has been heard, so that `origin_m` and `phase` mean something; else 0.
+        pub has_reference: u32,
+    }
+);
+
+impl Safety {
+    /// Value of `state`: commands pass, within limits.
+    pub const NORMAL: u32 = 0;
+    /// Value of `state`: slowing down with the steering held, for a moment.
+    pub const DEGRADED: u32 = 1;
+    /// Value of `state`: coming to a stop, straight on; nothing but a rearm leads back to normal.
+    pub const STOPPING: u32 = 2;
+    /// Value of `state`: standing, until it is rearmed.
+    pub const STOPPED: u32 = 3;
+
+    /// Bit of `reasons`: no answer of the controller that is young enough.
+    pub const COMMAND_STALE: u32 = 1;
+    /// Bit of `reasons`: the controller's answer is not finite.
+    pub const COMMAND_INVALID: u32 = 2;
+    /// Bit of `reasons`: no odometry that is young enough.
+    pub const ODOMETRY_STALE: u32 = 4;
+    /// Bit of `reasons`: the odometry is not finite.
+    pub const ODOMETRY_INVALID: u32 = 8;
+    /// Bit of `reasons`: the measured pose jumped.
+    pub const ODOMETRY_JUMP: u32 = 16;
+    /// Bit of `reasons`: the odometry's tick or stamp went back.
+    pub const TIME_BACK: u32 = 32;
+    /// Bit of `reasons`: the supervisor was restarted, and does not know what was before.
+    pub const RESTARTED: u32 = 64;
+}
+
+message!(
+    /// Lets a stopped vehicle drive again. Sent by `pathtune rearm`, under a header whose `batch` is 0.
+    #[name = "pathtune.Rearm#29118acd"]
+    pub struct Rearm {
+        /// The slot of the fleet.
+        pub slot: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
+    }
+);
 
 message!(
     /// The error that the law read. Sent by the controller, for observers.
@@ -285,6 +369,9 @@ impl DriveRequest {
     /// The whole run is recorded without a gap: a vehicle in lockstep waits for the recorder's [`Credit`], tick 0
     /// included.
     pub const LOGGED: u32 = 8;
+    /// The vehicle paces by the clock: nobody waits for anybody, answers grow old, and a restarted process joins the
+    /// drive under way.
+    pub const REAL_TIME: u32 = 16;
 }
 
 message!(
@@ -321,7 +408,7 @@ message!(
         pub step: u32,
         /// Why it ended: one of the values below.
         pub reason: u32,
-        /// [`Odometry::HAS_TRUTH`] if the errors are those of true poses.
+        /// [`Odometry::HAS_TRUTH`] if the errors are those of true poses, and the bits below.
         pub flags: u32,
     }
 );
@@ -333,6 +420,8 @@ impl DriveReport {
     pub const GOAL: u32 = 2;
     /// The vehicle reported a collision.
     pub const COLLISION: u32 = 3;
+    /// Bit of `flags`: the controller was restarted on the way; errors are those since then.
+    pub const JOINED: u32 = 256;
 }
 
 message!(
@@ -376,7 +465,7 @@ impl LearnerProgress {
 
 message!(
     /// A sign of life. Sent by every process, when it becomes ready and then at least every 100 ms.
-    #[name = "pathtune.Status#bc020fe6"]
+    #[name = "pathtune.Status#4f6b8ef1"]
     pub struct Status {
         /// Which start of this role it is, from the environment.
         pub incarnation: u64,
@@ -388,6 +477,9 @@ message!(
         pub dropped: u64,
         /// Samples that were not finite or out of range, and were rejected.
         pub rejected: u64,
+        /// Samples that came too late in real time: odometry that nobody answered, answers and commands beyond
+        /// their age limit, ticks driven before their zone's gains had come.
+        pub late: u64,
         /// The role: one of the values below.
         pub role: u32,
         /// [`Status::READY`] once all ports exist, else 0.

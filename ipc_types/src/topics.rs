@@ -5,7 +5,8 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::layout::Layout;
 use crate::{
     BatchHeader, Command, Credit, DriveOutcome, DriveReport, DriveRequest, GainSwitch,
-    LearnerProgress, Odometry, Proposal, RawCommand, Status, TickHeader, TrackingError, Zone,
+    LearnerProgress, Odometry, Proposal, RawCommand, Rearm, Safety, Status, TickHeader,
+    TrackingError, Zone,
 };
 
 /// Who can be woken by a message.
@@ -125,6 +126,11 @@ topics! {
         history 1, buffer 2, publishers 1;
     LearnerProgress, BatchHeader, "learner_progress", wakes &[],
         history 1, buffer 2, publishers 1;
+    // The gate's state and its way back.
+    Safety, BatchHeader, "safety", wakes &[Controller],
+        history 1, buffer 16, publishers 1;
+    Rearm, BatchHeader, "rearm", wakes &[Supervisor],
+        history 0, buffer 2, publishers 16;
     // From everybody; a dead publisher's place is free again only when it was cleaned up.
     Status, BatchHeader, "status", wakes &[Orchestrator],
         history 1, buffer 64, publishers 16;

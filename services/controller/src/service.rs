@@ -254,8 +254,9 @@ impl Slot {
             yaw_rate_radps: command.yaw_rate_radps,
             steering_rad: command.steering_rad,
             reference_along_m: self.decision.reference_along_m,
+            origin_m: 0.0,
+            phase: 0,
             flags,
-            reserved: 0,
         }
     }
 

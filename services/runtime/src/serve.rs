@@ -62,6 +62,8 @@ pub struct Counters {
     pub dropped: u64,
     /// Samples that were not finite or out of range, and were rejected.
     pub rejected: u64,
+    /// Samples that came too late in real time.
+    pub late: u64,
     /// Vehicles that the process can drive in one tick; only of the vehicle.
     pub capacity: u32,
     /// How the vehicle paces; only of the vehicle.
@@ -203,13 +205,14 @@ impl Heartbeat {
     fn send(&mut self, now_ns: u64, service: &dyn Service) -> Result<()> {
         let first = self.last_ns == 0;
         self.last_ns = now_ns;
-        let Counters { batch, tick, dropped, rejected, capacity, pacing } = service.status();
+        let Counters { batch, tick, dropped, rejected, late, capacity, pacing } = service.status();
         let status = Status {
             incarnation: self.incarnation,
             batch,
             tick,
             dropped,
             rejected,
+            late,
             role: self.role,
             state: Status::READY,
             capacity,
