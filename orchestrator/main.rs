@@ -36,6 +36,8 @@ fn main() -> ExitCode {
     let result = match cli.command {
         Command::Train(args) => orchestrator::train(&args).and_then(draw),
         Command::Validate(args) => orchestrator::validate(&args).and_then(draw),
+        Command::Drive(args) => orchestrator::drive(&args).and_then(draw),
+        Command::Rearm { run, vehicle } => orchestrator::rearm(run.as_deref(), vehicle),
         Command::Grid(args) => orchestrator::grid(&args).and_then(draw),
         Command::Report { run } => report::write_report(&run)
             .map_err(|why| Failure::User(why.to_string()))

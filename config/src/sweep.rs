@@ -12,6 +12,8 @@ pub struct SweepPlan {
     pub kind: SweepKind,
     /// Noisy drives of each set, with the noise seeds 1, 2, …; only of a validation.
     pub repeats: u32,
+    /// The vehicle paces by the clock: a restarted process joins the drive under way, which is never made again.
+    pub realtime: bool,
     /// Gain sets that were named, each with one set for every manoeuvre of the path, or one for all.
     pub sets: Vec<Vec<Gains>>,
 }
@@ -24,6 +26,8 @@ pub enum SweepKind {
     Validate,
     /// Every set of the grid without noise, and the named ones among them.
     Grid,
+    /// The first named set, once.
+    Drive,
 }
 
 impl SweepPlan {
@@ -91,7 +95,7 @@ mod tests {
     #[test]
     fn a_plan_survives_its_file() {
         let sets = vec![vec![Gains { kv: 0.1, kl: 1.0, ks: 6.0, ki: 0.7 }; 2]];
-        let plan = SweepPlan { kind: SweepKind::Validate, repeats: 10, sets };
+        let plan = SweepPlan { kind: SweepKind::Validate, repeats: 10, realtime: false, sets };
         assert_eq!(SweepPlan::parse(&toml::to_string(&plan).unwrap()).unwrap(), plan);
     }
 }

@@ -22,6 +22,16 @@ pub enum Command {
     Train(Box<TrainArgs>),
     /// Drive gain sets without noise and with it, beside the paper's figures
     Validate(Box<ValidateArgs>),
+    /// Drive once with given gains: in lockstep, or in real time with our simulator or a vehicle of yours
+    Drive(Box<DriveArgs>),
+    /// Let a vehicle that was stopped drive again, from where it stands
+    Rearm {
+        /// The start of the run's number, or its folder; may be left out if there is only one
+        run: Option<String>,
+        /// Slot of the fleet [default: all that are stopped]
+        #[arg(long, value_name = "I")]
+        vehicle: Option<u32>,
+    },
     /// Drive every gain set of the grid: the best, how flat the optimum is, which gain matters
     Grid(Box<GridArgs>),
     /// Draw a run: one HTML page, and its pictures as SVG files
@@ -144,6 +154,33 @@ pub struct ValidateArgs {
     /// Noisy drives of each set, with the noise seeds 1, 2, …
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=10_000))]
     pub repeats: u32,
+    /// What every run can be told.
+    #[command(flatten)]
+    pub setup: SetupArgs,
+}
+
+/// Options of `drive`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune drive lane_change --realtime
+  pathtune drive circuit --realtime --gains 3,21,21,0.7/3.4,21,1,0.84
+  pathtune drive lane_change --realtime --from runs/mine
+  pathtune drive --path slalom.csv --gains 3,21,21,0.7 --realtime --replace vehicle='python3 my_car.py'")]
+pub struct DriveArgs {
+    /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
+    pub maneuver: Option<String>,
+    /// The gains; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84 [default: the paper's]
+    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    pub gains: Option<String>,
+    /// The gains that a training has found; for a path with several manoeuvres a training of each; repeatable
+    #[arg(long, value_name = "RUN", conflicts_with = "gains")]
+    pub from: Vec<PathBuf>,
+    /// By the clock: the vehicle publishes every tick and waits for nobody, late answers are late, and a restarted process joins
+    #[arg(long)]
+    pub realtime: bool,
+    /// Put noise on the odometry of our simulator
+    #[arg(long)]
+    pub noise: bool,
     /// What every run can be told.
     #[command(flatten)]
     pub setup: SetupArgs,

@@ -8,6 +8,7 @@
 mod bench;
 pub mod cli;
 mod cores;
+mod drive;
 mod failure;
 mod housekeeping;
 mod member;
@@ -17,6 +18,7 @@ mod preflight;
 mod presets;
 pub mod process;
 mod progress;
+mod rearm;
 mod recovery;
 mod replay;
 pub mod restart;
@@ -29,9 +31,11 @@ mod terminal;
 mod train;
 
 pub use bench::bench;
+pub use drive::drive;
 pub use failure::Failure;
 pub use housekeeping::{LivingRun, clean, doctor, living_run, logs, status, stop};
 pub use presets::show_config;
+pub use rearm::rearm;
 pub use replay::{replay, replay_config};
 pub use setup::{Ended, name_files};
 pub use sweep::{grid, validate};

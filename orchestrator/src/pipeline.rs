@@ -10,7 +10,7 @@ use std::time::Duration;
 use config::launch::{Launch, Role};
 use config::{RunConfig, SweepPlan};
 use ipc_types::{
-    BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Status,
+    BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Safety, Status,
     WakeRole, WirePose, has,
 };
 use runtime::chaos::{self, Script};
@@ -91,12 +91,17 @@ pub(crate) struct Pipeline<'a> {
     proposals: Inlet<Proposal>,
     reports: Inlet<DriveReport>,
     learner_progress: Inlet<LearnerProgress>,
+    safety: Inlet<Safety>,
     requests: Outlet<DriveRequest>,
     outcomes: Outlet<DriveOutcome>,
     members: Vec<Member>,
     sequencer: Sequencer,
     progress: &'a mut Progress,
     interrupted: Interrupts,
+    /// The vehicle must pace by the clock. Then nothing is driven again: who was restarted joins.
+    realtime: bool,
+    /// State of the gate of each slot, as it was told last.
+    gates: Vec<u32>,
     /// Somebody of the ring died, or a message was lost: the batch under way will not end.
     batch_is_broken: bool,
     /// The latest batch and tick that anybody reported, and when anybody's last changed.
@@ -162,6 +167,7 @@ impl<'a> Pipeline<'a> {
             proposals: bus.inlet()?,
             reports: bus.inlet()?,
             learner_progress: bus.inlet()?,
+            safety: bus.inlet()?,
             requests: bus.outlet()?,
             outcomes: bus.outlet()?,
             bus,
@@ -169,6 +175,8 @@ impl<'a> Pipeline<'a> {
             sequencer,
             progress,
             interrupted: plan.interrupted.clone(),
+            realtime: plan.sweep.as_ref().is_some_and(|sweep| sweep.realtime),
+            gates: Vec::new(),
             batch_is_broken: false,
             seen: (0, 0),
             seen_ns: 0,
@@ -212,6 +220,7 @@ impl<'a> Pipeline<'a> {
             self.look_after_batch()?;
             heard |= self.hear_trainer()?;
             heard |= self.hear_controller()?;
+            heard |= self.hear_gate()?;
             if self.is_over {
                 return Ok(());
             }
@@ -250,8 +259,18 @@ impl<'a> Pipeline<'a> {
             }
             if member.beat(now_ns()) {
                 tracing::info!(process = member.name, pid = member.pid, "ready");
+                if self.realtime {
+                    self.recoveries.mended(now_ns());
+                }
                 if member.entry.role == Role::Vehicle {
                     self.sequencer.limit_fleet(status.capacity as usize);
+                    if has(status.pacing, Status::REAL_TIME) {
+                        self.sequencer.pace_by_clock();
+                    } else if self.realtime {
+                        let why = "--realtime: the vehicle waits for commands instead of pacing by the clock \
+                                   (its Status lacks REAL_TIME); leave the option out, or see ipc_types/CONTRACT.md";
+                        return Err(Failure::User(why.to_owned()));
+                    }
                 }
             }
         }
@@ -301,6 +320,29 @@ impl<'a> Pipeline<'a> {
         Ok(heard)
     }
 
+    /// Tells the user where a gate has stopped its vehicle, or lets it drive again.
+    fn hear_gate(&mut self) -> Result<bool, Failure> {
+        let mut heard = false;
+        while let Some(message) = self.safety.receive()? {
+            heard = true;
+            self.gates.resize(message.items().len(), Safety::NORMAL);
+            for (slot, (before, now)) in self.gates.iter_mut().zip(message.items()).enumerate() {
+                if std::mem::replace(before, now.state) == now.state {
+                    continue;
+                }
+                let why = describe_reasons(now.reasons);
+                match now.state {
+                    Safety::STOPPING => self.progress.notice(&format!(
+                        "vehicle {slot} is being stopped: {why}; `pathtune rearm` lets it drive again"
+                    )),
+                    Safety::STOPPED => self.progress.notice(&format!("vehicle {slot} stands")),
+                    _ => tracing::info!(slot, state = now.state, why, "gate"),
+                }
+            }
+        }
+        Ok(heard)
+    }
+
     fn tell_trainer(&self, outcomes: &[DriveOutcome]) -> Result<(), Failure> {
         if !outcomes.is_empty() {
             let run = self.attachment.names.run;
@@ -345,7 +387,8 @@ impl<'a> Pipeline<'a> {
         }
         let patient = self.members.iter().any(|member| !member.entry.is_deterministic());
         let waits_for_start = patient && self.seen_ns <= self.issued_ns;
-        if !self.sequencer.is_driving()
+        if self.realtime
+            || !self.sequencer.is_driving()
             || self.batch_is_broken
             || waits_for_start
             || now.saturating_sub(self.seen_ns) < STALLED_AFTER_NS
@@ -415,7 +458,7 @@ impl<'a> Pipeline<'a> {
         self.observers.stand_back();
         clean_up_behind(&self.attachment, pid).map_err(Failure::Other)?;
         if member.entry.role != Role::Trainer {
-            self.batch_is_broken = self.sequencer.is_driving();
+            self.batch_is_broken = self.sequencer.is_driving() && !self.realtime;
         }
         let wait = match decision {
             Decision::Restart(wait) => wait,
@@ -460,6 +503,21 @@ impl<'a> Pipeline<'a> {
             member.state = State::Down { due_ns: u64::MAX };
         }
     }
+}
+
+/// What is wrong with a vehicle, from the bits of [`Safety::reasons`].
+pub(crate) fn describe_reasons(reasons: u32) -> String {
+    let words = [
+        (Safety::COMMAND_STALE, "no answer of the controller"),
+        (Safety::COMMAND_INVALID, "the controller's answer is not finite"),
+        (Safety::ODOMETRY_STALE, "no odometry"),
+        (Safety::ODOMETRY_INVALID, "the odometry is not finite"),
+        (Safety::ODOMETRY_JUMP, "the measured pose jumped"),
+        (Safety::TIME_BACK, "the odometry's time went back"),
+        (Safety::RESTARTED, "the supervisor was restarted while it stopped the vehicle"),
+    ];
+    let there: Vec<_> = words.iter().filter(|(bit, _)| has(reasons, *bit)).map(|it| it.1).collect();
+    if there.is_empty() { "nothing is wrong".to_owned() } else { there.join(", ") }
 }
 
 /// What `pathtune status` reads: one file in the run's private folder.

@@ -66,6 +66,11 @@ impl Sequencer {
         self.flags |= DriveRequest::LOGGED;
     }
 
+    /// Tells everybody that the vehicle paces by the clock.
+    pub fn pace_by_clock(&mut self) {
+        self.flags |= DriveRequest::REAL_TIME;
+    }
+
     /// Bounds the fleet by what the vehicle can drive at once.
     pub fn limit_fleet(&mut self, capacity: usize) {
         self.fleet = self.fleet.min(capacity.max(1));

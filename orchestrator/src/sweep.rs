@@ -29,7 +29,7 @@ pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
         return Err(Failure::User(why.to_owned()));
     }
     fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
-    let plan = SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, sets };
+    let plan = SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, realtime: false, sets };
     let name = format!("validate-{}", config.maneuver);
     sweep(&args.setup, config, plan, &name, "validate", tables::print_validation)
 }
@@ -51,7 +51,7 @@ pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
     }
     let drives = config.grid.len() + sets.len() + 1;
     fill_fleet(&mut config, &args.setup, drives);
-    let plan = SweepPlan { kind: SweepKind::Grid, repeats: 0, sets };
+    let plan = SweepPlan { kind: SweepKind::Grid, repeats: 0, realtime: false, sets };
     let name = format!("grid-{}", config.maneuver);
     sweep(&args.setup, config, plan, &name, "grid", tables::print_grid)
 }
@@ -61,7 +61,7 @@ fn fill_fleet(config: &mut RunConfig, args: &SetupArgs, drives: usize) {
     config.run.fleet = args.fleet.unwrap_or(drives.min(MAX_FLEET) as u32);
 }
 
-fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec<Gains>>, Failure> {
+pub(crate) fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec<Gains>>, Failure> {
     let due = config.maneuvers_due();
     gains
         .iter()
@@ -80,7 +80,7 @@ fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec<Gains>>, F
         .collect()
 }
 
-fn sweep(
+pub(crate) fn sweep(
     args: &SetupArgs,
     config: RunConfig,
     plan: SweepPlan,

@@ -231,6 +231,38 @@ pub(crate) fn print_grid(_: &RunConfig, result: &Value) -> Result<(), Failure> {
 }
 
 /// Crashes, speed and digest of a run.
+/// The table of a single drive.
+pub(crate) fn print_drive(config: &RunConfig, result: &Value) -> Result<(), Failure> {
+    let mut table =
+        table_of(&["", "Kv", "Kl", "Ks", "Ki", "mse m²", "along m²", "cross m²", "max cross m"]);
+    let due = config.maneuvers_due();
+    for (index, set) in result["gains"].as_array().into_iter().flatten().enumerate() {
+        let one_for_all = result["gains"].as_array().is_some_and(|sets| sets.len() == 1);
+        let mut cells = vec![if one_for_all { "all" } else { due[index] }.to_owned()];
+        cells.extend(gains_of(set).to_array().map(trim));
+        if index == 0 {
+            cells.extend(["mse_m2", "along_m2", "cross_m2"].map(|key| digits(&result[key], 4)));
+            cells.push(digits(&result["max_cross_track_m"], 2));
+        }
+        table.add_row(cells);
+    }
+    say!("{table}");
+    let reason = match result["reason"].as_str() {
+        Some("goal") => "at the path's end",
+        Some("collision") => "in a collision",
+        _ => "with its time",
+    };
+    let poses = if result["true_poses"] == true { "true" } else { "measured" };
+    say!(
+        "{} s driven; it ended {reason}; errors are those of the {poses} poses",
+        digits(&result["driven_s"], 1)
+    );
+    if result["joined"] == true {
+        say!("the controller was restarted on the way: errors are those since then");
+    }
+    print_how_it_went(result)
+}
+
 fn print_how_it_went(result: &Value) -> Result<(), Failure> {
     let recovery = &result["recovery"];
     if recovery["recoveries"].as_u64().unwrap_or_default() > 0 {

@@ -49,6 +49,8 @@ pub struct DriveController {
     end: Pose,
     goal_radius_m: f64,
     ticks: u64,
+    /// Ticks that the reference's clock had run before it last started from rest.
+    ticks_before: u64,
     gains: Gains,
     trace: Trace,
 }
@@ -64,6 +66,7 @@ impl DriveController {
             metrics: MetricsRecorder::default(),
             goal_radius_m: config.drive.goal_radius_m,
             ticks: config.ticks(),
+            ticks_before: 0,
             gains: Gains::default(),
             trace: Trace::default(),
         }
@@ -77,6 +80,27 @@ impl DriveController {
         self.trace = Trace::default();
         self.gains = gains;
         self.ticks = ticks;
+        self.ticks_before = 0;
+    }
+
+    /// Goes on with a drive of which only this is known: where the reference's clock last started from rest, and the
+    /// steering angle that was commanded last. The next tick tells how long the clock has run.
+    pub fn join(&mut self, origin_m: f64, steering_rad: f64) {
+        self.reference.restart_at(origin_m);
+        self.law.resume(steering_rad);
+    }
+
+    /// Lets the reference's clock start again from rest, where the vehicle stands: at its projection on the path, at
+    /// most `window_m` from where the reference was. The clock had run for `phase` ticks.
+    pub fn restart(&mut self, phase: u64, measured: Pose, window_m: f64, steering_rad: f64) {
+        self.ticks_before += phase;
+        self.reference.restart_at(self.reference.projection_m(measured, window_m));
+        self.law.resume(steering_rad);
+    }
+
+    /// Where the reference's clock last started from rest, along the path.
+    pub fn origin_m(&self) -> f64 {
+        self.reference.origin_m()
     }
 
     /// Other gains from this tick on; the filter's state carries over.
@@ -84,7 +108,8 @@ impl DriveController {
         self.gains = gains;
     }
 
-    /// One tick. Call it for each tick from 0 on, until the drive has ended.
+    /// One tick, named by the ticks that the reference's clock has run. Call it for each from 0 on, until the drive
+    /// has ended.
     pub fn tick(&mut self, tick: u64, seen: Seen) -> Decision {
         let reference = self.reference.advance(tick, seen.measured);
         let error = tracking_error(reference, seen.measured);
@@ -116,7 +141,7 @@ impl DriveController {
                 return Some(EndReason::Goal);
             }
         }
-        (tick + 1 >= self.ticks).then_some(EndReason::Time)
+        (self.ticks_before + tick + 1 >= self.ticks).then_some(EndReason::Time)
     }
 }
 

@@ -34,7 +34,12 @@ impl ControlLaw {
 
     /// Puts the filter back to 0.
     pub fn reset(&mut self) {
-        self.steering_rad = 0.0;
+        self.resume(0.0);
+    }
+
+    /// Puts the filter where the last command left the steering angle.
+    pub fn resume(&mut self, steering_rad: f64) {
+        self.steering_rad = steering_rad.clamp(-self.steering_limit_rad, self.steering_limit_rad);
     }
 
     /// One tick of the law, on the error in the vehicle frame:

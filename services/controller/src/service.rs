@@ -4,7 +4,7 @@ use anyhow::Result;
 use config::{Gains, MAX_FLEET, RunConfig};
 use ipc_types::{
     BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, Odometry, RawCommand, TickHeader,
-    TrackingError, WakeRole, WirePose, Zone, has,
+    Safety, TrackingError, WakeRole, WirePose, Zone, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
@@ -17,9 +17,10 @@ use crate::{Decision, DriveController, Ended, Seen};
 /// # Errors
 /// If it cannot join the run, or the transport fails.
 pub fn run() -> Result<()> {
+    let started_ns = now_ns();
     let (attachment, bus, config) = join()?;
     attachment.pin();
-    let mut controller = Controller::new(&bus, config, attachment.names.run)?;
+    let mut controller = Controller::new(&bus, config, attachment.names.run, started_ns)?;
     serve(&attachment, &bus, WakeRole::Controller, &mut controller)
 }
 
@@ -28,6 +29,7 @@ struct Controller {
     odometry: Inlet<Odometry>,
     zones: Inlet<Zone>,
     gains: Inlet<GainSwitch>,
+    safety: Inlet<Safety>,
     raw_commands: Outlet<RawCommand>,
     errors: Outlet<TrackingError>,
     reports: Outlet<DriveReport>,
@@ -40,12 +42,21 @@ struct Controller {
     held: Option<Received<Odometry>>,
     /// Whether gains change with the zone in the batch under way.
     scheduled: bool,
+    /// Whether the vehicle paces by the clock: then nobody is waited for, and ticks may be missing.
+    real_time: bool,
+    started_ns: u64,
     /// The batch that is driven, with the tick that comes next; none between batches.
     driving: Option<(BatchHeader, u64)>,
     /// The last batch and attempt that was asked for.
     last: (u64, u32),
     counters: Counters,
 }
+
+/// Ticks for which a restarted controller waits for somebody who knows how the drive stands: the supervisor tells it
+/// at least once a tick, unless it was restarted, too.
+const JOINS_WITHIN: u32 = 20;
+/// A rearmed vehicle is looked for so far along the path from where its reference stood still.
+const RESTART_WINDOW_M: f64 = 20.0;
 
 struct Slot {
     drive: DriveController,
@@ -55,17 +66,34 @@ struct Slot {
     has_truth: bool,
     decision: Decision,
     report: Option<DriveReport>,
+    /// This process joined the drive on its way.
+    joined: bool,
     /// The zone whose gains the next tick must have.
     awaited: Option<u32>,
+    clock: Clock,
+}
+
+/// The clock of a slot's reference. In lockstep it is the tick.
+#[derive(Debug, Clone, Copy)]
+struct Clock {
+    /// Ticks that it has run since it last started from rest.
+    phase: u64,
+    /// The tick at which it had run so long; none before the first.
+    at_tick: Option<u64>,
+    /// The vehicle is being stopped, or stands: the clock does, too.
+    frozen: bool,
+    /// The drive had begun before this process did: ticks that are still waited for somebody who knows how it stands.
+    joins_within: Option<u32>,
 }
 
 impl Controller {
-    fn new(bus: &Bus, config: RunConfig, run: u64) -> Result<Self> {
+    fn new(bus: &Bus, config: RunConfig, run: u64, started_ns: u64) -> Result<Self> {
         Ok(Self {
             requests: bus.inlet()?,
             odometry: bus.inlet()?,
             zones: bus.inlet()?,
             gains: bus.inlet()?,
+            safety: bus.inlet()?,
             raw_commands: bus.outlet()?,
             errors: bus.outlet()?,
             reports: bus.outlet()?,
@@ -74,6 +102,8 @@ impl Controller {
             slots: Vec::new(),
             held: None,
             scheduled: false,
+            real_time: false,
+            started_ns,
             driving: None,
             last: (0, 0),
             counters: Counters::default(),
@@ -88,6 +118,12 @@ impl Controller {
         }
         self.slots.clear();
         self.slots.extend(requests.iter().map(|request| Slot::new(&self.fresh, *request)));
+        self.real_time = requests.iter().any(|it| has(it.flags, DriveRequest::REAL_TIME));
+        if self.real_time && header.sent_ns < self.started_ns {
+            for slot in &mut self.slots {
+                slot.clock.joins_within = Some(JOINS_WITHIN);
+            }
+        }
         self.scheduled = requests.iter().any(|it| has(it.flags, DriveRequest::SCHEDULED));
         self.driving = Some((header, 0));
         self.last = (header.batch, header.attempt);
@@ -96,15 +132,27 @@ impl Controller {
     fn answer(&mut self, header: TickHeader, odometry: &[Odometry]) -> Result<()> {
         let received_ns = now_ns();
         let expected = self.driving.is_some_and(|(batch, tick)| {
-            (header.run, header.batch, header.attempt, header.tick)
-                == (self.run, batch.batch, batch.attempt, tick)
+            let is_next =
+                if self.real_time { header.tick >= tick } else { header.tick == tick };
+            (header.run, header.batch, header.attempt) == (self.run, batch.batch, batch.attempt)
+                && is_next
         });
+        if self.real_time && self.driving.is_none() {
+            // A vehicle goes on behind the end of its drive.
+            return Ok(());
+        }
         if !expected || odometry.len() != self.slots.len() {
             self.counters.dropped += 1;
             return Ok(());
         }
+        if self.real_time && !self.hear_safety(header.tick, odometry)? {
+            return Ok(());
+        }
         for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
-            let believed = slot.tick(header.tick, odometry);
+            if !self.real_time {
+                slot.clock.phase = header.tick;
+            }
+            let believed = slot.tick(odometry);
             self.counters.rejected += u64::from(!believed);
         }
         let slots = &self.slots;
@@ -118,7 +166,7 @@ impl Controller {
             self.errors.send_quietly(header, slots.len(), |index| slots[index].tracking_error())?;
         }
         if let Some((batch, tick)) = &mut self.driving {
-            *tick += 1;
+            *tick = header.tick + 1;
             self.counters.batch = batch.batch;
             self.counters.tick = *tick;
         }
@@ -166,7 +214,31 @@ impl Controller {
                 tracing::info!(tick, slot, zone, kv, kl, ks, ki, "gains switched");
             }
         }
-        Ok(self.slots.iter().any(|slot| slot.awaited.is_some()))
+        let awaits = self.slots.iter().any(|slot| slot.awaited.is_some());
+        // In real time the old gains go on.
+        self.counters.late += u64::from(awaits && self.real_time);
+        Ok(awaits && !self.real_time)
+    }
+
+    /// Hears what the gate does: whether a reference stands still, and how a drive stands that is joined. Whether this
+    /// tick can be answered.
+    fn hear_safety(&mut self, tick: u64, odometry: &[Odometry]) -> Result<bool> {
+        let (run, batch, attempt) = (self.run, self.last.0, self.last.1);
+        let mut newest = None;
+        while let Some(message) = self.safety.receive()? {
+            let header = message.header();
+            if (header.run, header.batch, header.attempt) == (run, batch, attempt)
+                && message.items().len() == self.slots.len()
+            {
+                newest = Some(message);
+            }
+        }
+        let mut ready = true;
+        for (index, (slot, odometry)) in self.slots.iter_mut().zip(odometry).enumerate() {
+            let safety = newest.as_ref().map(|message| message.items()[index]);
+            ready &= slot.follow(tick, safety, pose(odometry.measured));
+        }
+        Ok(ready)
     }
 
     fn report(&mut self) -> Result<()> {
@@ -196,12 +268,56 @@ impl Slot {
                 ended: None,
             },
             report: None,
+            joined: false,
             awaited: None,
+            clock: Clock { phase: 0, at_tick: None, frozen: false, joins_within: None },
         }
     }
 
+    /// Lets the reference's clock run to `tick`, or stand still, as the gate says. Whether the tick can be answered: a
+    /// drive that was joined has to wait until somebody has told how it stands.
+    fn follow(&mut self, tick: u64, safety: Option<Safety>, measured: Pose) -> bool {
+        let clock = &mut self.clock;
+        if let Some(left) = clock.joins_within {
+            match safety {
+                Some(it) if it.has_reference != 0 && it.origin_m.is_finite() => {
+                    self.drive.join(it.origin_m, finite_or_zero(it.steering_rad));
+                    clock.frozen = is_latched(it.state);
+                    (clock.phase, clock.at_tick) = (it.phase.into(), Some(it.tick));
+                }
+                // The supervisor knows no more than we do: it has been restarted, too.
+                _ if left == 0 => {
+                    self.drive.restart(0, measured, f64::INFINITY, 0.0);
+                    clock.at_tick = Some(tick);
+                }
+                _ => {
+                    clock.joins_within = Some(left - 1);
+                    return false;
+                }
+            }
+            clock.joins_within = None;
+            self.joined = true;
+            tracing::info!(tick, phase = clock.phase, frozen = clock.frozen, "joined the drive");
+        } else if let Some(it) = safety {
+            let frozen = is_latched(it.state);
+            if clock.frozen && !frozen {
+                let steering_rad = finite_or_zero(it.steering_rad);
+                self.drive.restart(clock.phase, measured, RESTART_WINDOW_M, steering_rad);
+                (clock.phase, clock.at_tick) = (0, Some(tick));
+                tracing::info!(tick, from_m = self.drive.origin_m(), "rearmed");
+            }
+            clock.frozen = frozen;
+        }
+        let since = clock.at_tick.map_or(tick, |at| tick.saturating_sub(at));
+        if !clock.frozen {
+            clock.phase += since;
+        }
+        clock.at_tick = Some(tick);
+        true
+    }
+
     /// One tick; whether the odometry could be believed. If not, the last one stands in for it.
-    fn tick(&mut self, tick: u64, odometry: &Odometry) -> bool {
+    fn tick(&mut self, odometry: &Odometry) -> bool {
         if self.report.is_some() {
             return true;
         }
@@ -217,7 +333,7 @@ impl Slot {
             self.seen = seen;
             self.has_truth = has_truth;
         }
-        self.decision = self.drive.tick(tick, self.seen);
+        self.decision = self.drive.tick(self.clock.phase, self.seen);
         self.report = self.decision.ended.map(|ended| self.to_report(ended));
         believed
     }
@@ -242,20 +358,23 @@ impl Slot {
                 EndReason::Goal => DriveReport::GOAL,
                 EndReason::Collision => DriveReport::COLLISION,
             },
-            flags: if self.has_truth { Odometry::HAS_TRUTH } else { 0 },
+            flags: if self.has_truth { Odometry::HAS_TRUTH } else { 0 }
+                | if self.joined { DriveReport::JOINED } else { 0 },
         }
     }
 
     fn raw_command(&self) -> RawCommand {
         let command = self.decision.command;
-        let flags = if self.report.is_some() { Command::ENDED } else { 0 };
+        let flags = if self.report.is_some() { Command::ENDED } else { 0 }
+            | if self.clock.frozen { RawCommand::FROZEN } else { 0 };
         RawCommand {
             speed_mps: command.speed_mps,
             yaw_rate_radps: command.yaw_rate_radps,
             steering_rad: command.steering_rad,
             reference_along_m: self.decision.reference_along_m,
-            origin_m: 0.0,
-            phase: 0,
+            origin_m: self.drive.origin_m(),
+            // A drive has at most a million ticks.
+            phase: self.clock.phase as u32,
             flags,
         }
     }
@@ -271,6 +390,14 @@ impl Slot {
     }
 }
 
+fn is_latched(state: u32) -> bool {
+    state == Safety::STOPPING || state == Safety::STOPPED
+}
+
+fn finite_or_zero(number: f64) -> f64 {
+    if number.is_finite() { number } else { 0.0 }
+}
+
 fn pose(wire: WirePose) -> Pose {
     Pose { x_m: wire.x_m, y_m: wire.y_m, yaw_rad: wire.yaw_rad }
 }
@@ -281,7 +408,15 @@ impl Service for Controller {
             self.start_batch(request.header(), request.items());
             return Ok(true);
         }
-        let odometry = match (self.odometry.receive()?, self.held.take()) {
+        let mut newest = self.odometry.receive()?;
+        if self.real_time {
+            // What came before the newest is too old to be answered.
+            while let Some(newer) = self.odometry.receive()? {
+                self.counters.late += 1;
+                newest = Some(newer);
+            }
+        }
+        let odometry = match (newest, self.held.take()) {
             (Some(new), held) => {
                 // What was held belongs to nothing that anybody asked for.
                 self.counters.dropped += u64::from(held.is_some());

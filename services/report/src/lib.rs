@@ -10,6 +10,7 @@ mod axis;
 mod canvas;
 mod chart;
 mod decimate;
+mod drive;
 mod drives;
 mod error;
 mod figures;
@@ -57,6 +58,7 @@ pub fn write_report(run: &Path) -> Result<PathBuf, ReportError> {
         RunResult::Train(train) => train::sections(&mut page, train, &config)?,
         RunResult::Validate(validate) => validate::sections(&mut page, validate, &config),
         RunResult::Grid(grid) => grid::sections(&mut page, grid)?,
+        RunResult::Drive(drive) => drive::section(&mut page, drive),
     }
     figures::sections(&mut page, &drives, &config)?;
     let (html, pictures) = page.finish(&text);

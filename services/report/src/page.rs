@@ -27,6 +27,7 @@ impl Page {
             RunResult::Train(_) => "training",
             RunResult::Validate(_) => "validation",
             RunResult::Grid(_) => "exhaustive grid",
+            RunResult::Drive(_) => "drive",
         };
         let title = format!("{}: {kind}", maneuver.replace('_', " "));
         let noise = if config.noise.enabled { "with noise on the odometry" } else { "noise-free" };

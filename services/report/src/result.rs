@@ -13,12 +13,29 @@ use serde_json::Value;
 
 use crate::ReportError;
 
-/// The result of a run, of one of three kinds.
+/// The result of a run, of one of four kinds.
 #[derive(Debug)]
 pub(crate) enum RunResult {
     Train(Box<Train>),
     Validate(Validate),
     Grid(Grid),
+    Drive(Drive),
+}
+
+/// A single drive.
+#[derive(Debug, Deserialize)]
+pub(crate) struct Drive {
+    pub(crate) gains: Vec<Gains>,
+    pub(crate) reason: String,
+    pub(crate) driven_s: f64,
+    pub(crate) mse_m2: f64,
+    pub(crate) along_m2: f64,
+    pub(crate) cross_m2: f64,
+    pub(crate) max_cross_track_m: f64,
+    #[serde(default)]
+    pub(crate) true_poses: bool,
+    #[serde(default)]
+    pub(crate) joined: bool,
 }
 
 /// The key that tells the kinds apart, and what heads every page.
@@ -274,8 +291,9 @@ pub(crate) fn read(run: &Path) -> Result<(Head, RunResult), ReportError> {
         None | Some("train") => RunResult::Train(typed(&path, &value)?),
         Some("validate") => RunResult::Validate(typed(&path, &value)?),
         Some("grid") => RunResult::Grid(typed(&path, &value)?),
+        Some("drive") => RunResult::Drive(typed(&path, &value)?),
         Some(other) => {
-            let problem = format!("kind: {other:?} is none of \"train\", \"validate\", \"grid\"");
+            let problem = format!("kind: {other:?} is none of \"train\", \"validate\", \"grid\", \"drive\"");
             return Err(ReportError::malformed(&path, None, problem));
         }
     };

@@ -7,7 +7,7 @@ use config::{Gains, RunConfig};
 pub use controller::Ended;
 use controller::{Decision, DriveController, Seen};
 use simulator::{Observation, SimulatedVehicle};
-use supervisor::{Gate, Passed, SpeedGovernor};
+use supervisor::{Movement, Passed, Wanted, Watch};
 use tracking::ZoneTracker;
 
 /// Everything that happened in one tick.
@@ -28,8 +28,9 @@ pub struct TickRecord {
 pub struct Rollout {
     vehicle: SimulatedVehicle,
     controller: DriveController,
-    gate: Gate,
-    governor: SpeedGovernor,
+    /// A watch over a vehicle at rest, to be copied for each drive.
+    fresh_watch: Watch,
+    tick_s: f64,
     zones: ZoneTracker,
     start: tracking::Pose,
     ticks: u64,
@@ -41,8 +42,8 @@ impl Rollout {
         Self {
             vehicle: SimulatedVehicle::new(config),
             controller: DriveController::new(config),
-            gate: Gate::new(config),
-            governor: SpeedGovernor::new(config),
+            fresh_watch: Watch::new(config),
+            tick_s: config.drive.tick_s,
             zones: ZoneTracker::new(config),
             start: config.path.start.into(),
             ticks: config.ticks(),
@@ -76,7 +77,7 @@ impl Rollout {
     ) -> Ended {
         self.vehicle.reset(self.start, noise_seed);
         self.zones.reset();
-        self.governor.reset();
+        let mut watch = self.fresh_watch;
         self.controller.reset(by_zone[0], self.ticks);
         let mut zone = 0;
         let mut tick = 0;
@@ -91,9 +92,14 @@ impl Rollout {
                 },
             );
             let raw = decision.command;
-            let allowed_mps = self.governor.allowed_mps(observation.speed_mps);
-            let passed =
-                self.gate.pass(allowed_mps, raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
+            let Observation { measured: pose, speed_mps, yaw_rate_radps, .. } = observation;
+            watch.see(tick, Movement { pose, speed_mps, yaw_rate_radps });
+            let wanted = Wanted {
+                speed_mps: raw.speed_mps,
+                yaw_rate_radps: raw.yaw_rate_radps,
+                steering_rad: raw.steering_rad,
+            };
+            let passed = watch.command(self.tick_s, 0, Some(wanted));
             let entered = self.zones.update(observation.measured, decision.reference_along_m);
             if entered != zone && by_zone.len() > 1 {
                 self.controller.switch_gains(by_zone[entered]);

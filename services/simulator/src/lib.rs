@@ -2,6 +2,7 @@
 //!
 //! `vehicle` and `lateral` are pure; [`service`] joins it to the pipeline.
 
+mod clocked;
 mod lateral;
 mod noise;
 mod road;

@@ -1,17 +1,21 @@
 //! The simulator's process: the vehicle role in lockstep.
 //!
 //! It publishes odometry k, waits for command k, integrates, and publishes k+1: as fast as the rest of the
-//! ring answers.
+//! ring answers. With `run.realtime` it paces by the clock instead: see [`crate::clocked`].
+
+use std::time::Duration;
 
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
-    BatchHeader, Command, Credit, DriveRequest, Odometry, TickHeader, WakeRole, WirePose, has,
+    BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WakeRole, WirePose,
+    has,
 };
 use runtime::clock::now_ns;
-use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
+use runtime::{Bus, Counters, Inlet, NAP, Outlet, Service, join, serve};
 use tracking::Pose;
 
+use crate::clocked::Clocked;
 use crate::{Observation, SimulatedVehicle};
 
 /// Runs the process until it is asked to stop.
@@ -19,9 +23,14 @@ use crate::{Observation, SimulatedVehicle};
 /// # Errors
 /// If it cannot join the run, or the transport fails.
 pub fn run() -> Result<()> {
+    let started_ns = now_ns();
     let (attachment, bus, config) = join()?;
     attachment.pin();
     let mut simulator = Simulator::new(&bus, config, attachment.names.run)?;
+    if simulator.config.run.realtime {
+        simulator.clocked = Some(Clocked::new(&simulator.config, started_ns));
+        simulator.counters.pacing = Status::REAL_TIME | Status::AT_START;
+    }
     serve(&attachment, &bus, WakeRole::Vehicle, &mut simulator)
 }
 
@@ -39,13 +48,17 @@ struct Simulator {
     allowed: [(u32, u64); 2],
     /// Header of the odometry that waits for a recorder.
     held_back: Option<TickHeader>,
+    /// What real time adds.
+    clocked: Option<Clocked>,
     counters: Counters,
 }
 
-struct Slot {
-    vehicle: SimulatedVehicle,
-    last: Odometry,
-    ended: bool,
+pub(crate) struct Slot {
+    pub(crate) vehicle: SimulatedVehicle,
+    pub(crate) last: Odometry,
+    pub(crate) ended: bool,
+    /// In real time: the vehicle stops, because no command is young enough.
+    pub(crate) own_stop: bool,
 }
 
 impl Simulator {
@@ -61,6 +74,7 @@ impl Simulator {
             waiting: None,
             allowed: allowed_at_start(0),
             held_back: None,
+            clocked: None,
             counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
         })
     }
@@ -79,6 +93,7 @@ impl Simulator {
                 vehicle: vehicle.clone(),
                 last: Odometry::default(),
                 ended: false,
+                own_stop: false,
             });
         }
         for (slot, request) in self.slots.iter_mut().zip(requests) {
@@ -86,6 +101,12 @@ impl Simulator {
             let noise = has(request.flags, DriveRequest::NOISE).then_some(request.seed);
             slot.vehicle.reset(Pose { x_m, y_m, yaw_rad }, noise);
             slot.ended = false;
+            slot.own_stop = false;
+        }
+        if let Some(clocked) = &mut self.clocked {
+            clocked.start(header, now_ns());
+            self.counters.batch = header.batch;
+            return Ok(());
         }
         self.allowed = allowed_at_start(requests.iter().fold(0, |flags, it| flags | it.flags));
         self.publish(TickHeader {
@@ -148,7 +169,7 @@ impl Simulator {
 }
 
 impl Slot {
-    fn observe(&mut self) -> Odometry {
+    pub(crate) fn observe(&mut self) -> Odometry {
         if self.ended {
             self.last.status |= Odometry::ENDED;
             return self.last;
@@ -219,6 +240,10 @@ impl Service for Simulator {
         if let Some(held_back) = self.held_back {
             return self.catch_up(held_back);
         }
+        let Self { clocked, slots, commands, odometry, counters, .. } = self;
+        if let Some(clocked) = clocked {
+            return clocked.poll(slots, commands, odometry, counters);
+        }
         let Some(command) = self.commands.receive()? else { return Ok(false) };
         self.obey(command.header(), command.items())?;
         Ok(true)
@@ -226,5 +251,9 @@ impl Service for Simulator {
 
     fn status(&self) -> Counters {
         self.counters
+    }
+
+    fn nap(&self) -> Duration {
+        self.clocked.as_ref().map_or(NAP, |clocked| clocked.nap(now_ns()))
     }
 }

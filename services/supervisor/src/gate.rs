@@ -1,16 +1,65 @@
 //! The safety gate: what it has not passed does not reach the vehicle.
+//!
+//! It knows the last command that it passed, and lets the next one differ from it no more than the limits allow. All of
+//! them hold for every command at once, whatever is asked for:
+//!
+//! - the speed, and how low it may be; the steering angle;
+//! - how fast the speed changes, and how fast that changes (jerk); how fast the steering angle changes;
+//! - the lateral acceleration v²·tan|φ|/L of the command.
+//!
+//! They cannot contradict each other, because the gate looks ahead: it never takes up an acceleration that could not be
+//! taken back, within the jerk limit, before the speed limit is reached, and never a steering angle that the speed
+//! reached by then would not allow.
+
+use std::f64::consts::FRAC_PI_2;
 
 use config::RunConfig;
+
+/// Commands that follow each other faster count as so long apart.
+const SHORTEST_S: f64 = 1e-6;
+
+/// What the controller wants of one vehicle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wanted {
+    /// Forward speed.
+    pub speed_mps: f64,
+    /// Yaw rate.
+    pub yaw_rate_radps: f64,
+    /// Steering angle, positive to the left.
+    pub steering_rad: f64,
+}
+
+impl Wanted {
+    /// Whether it is something that a vehicle could be told.
+    pub fn is_finite(self) -> bool {
+        self.speed_mps.is_finite()
+            && self.yaw_rate_radps.is_finite()
+            && self.steering_rad.is_finite()
+    }
+}
 
 /// What the gate did to a command, as flags that the command carries.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Change {
-    /// The speed was above its limit, and was lowered to it.
+    /// The speed was out of its limits.
     pub speed_limited: bool,
-    /// The steering angle was outside its range, and was brought to its bound.
+    /// The steering angle was out of its range.
     pub steering_limited: bool,
-    /// A number was not finite: the command was replaced by one that stops straight on.
+    /// The speed changed faster than acceleration, deceleration and jerk allow.
+    pub acceleration_limited: bool,
+    /// The steering angle changed faster than its rate allows.
+    pub steering_rate_limited: bool,
+    /// Speed or steering angle were too high for the lateral acceleration.
+    pub lateral_limited: bool,
+    /// A number was not finite: the command was replaced by one that slows down.
     pub rejected: bool,
+}
+
+impl Change {
+    /// Whether anything was changed.
+    pub fn is_any(self) -> bool {
+        self != Self::default()
+    }
 }
 
 /// A command that the vehicle may have.
@@ -26,168 +75,192 @@ pub struct Passed {
     pub change: Change,
 }
 
-/// The gate with its limits.
+/// The gate of one vehicle: its limits, and what it passed last.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gate {
-    speed_limit_mps: f64,
-    steering_limit_rad: f64,
+    limits: Limits,
+    speed_mps: f64,
+    acceleration_mps2: f64,
+    steering_rad: f64,
+}
+
+/// Limits of a command; an infinite one does not bind.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Limits {
+    speed_mps: f64,
+    reverse_mps: f64,
+    acceleration_mps2: f64,
+    deceleration_mps2: f64,
+    jerk_mps3: f64,
+    stop_mps2: f64,
+    steering_rad: f64,
+    steering_rate_radps: f64,
+    lateral_mps2: f64,
+    wheelbase_m: f64,
 }
 
 impl Gate {
-    /// The gate of a configuration.
+    /// The gate of a configuration, behind a vehicle at rest.
     pub fn new(config: &RunConfig) -> Self {
-        Self {
-            speed_limit_mps: config.supervisor.speed_limit_mps,
+        let safety = config.vehicle.safety;
+        let limits = Limits {
+            speed_mps: config.supervisor.speed_limit_mps,
+            reverse_mps: safety.reverse_limit_mps,
+            acceleration_mps2: safety.acceleration_limit_mps2,
+            deceleration_mps2: safety.deceleration_limit_mps2,
+            jerk_mps3: safety.jerk_limit_mps3,
+            stop_mps2: safety.stop_deceleration_mps2,
             // The law keeps within the same limit: a command beyond it comes from no healthy controller.
-            steering_limit_rad: config.controller.steering_limit_rad,
-        }
+            steering_rad: config.controller.steering_limit_rad,
+            steering_rate_radps: safety.steering_rate_limit_radps,
+            lateral_mps2: safety.lateral_acceleration_limit_mps2,
+            wheelbase_m: config.vehicle.wheelbase_m,
+        };
+        Self { limits, speed_mps: 0.0, acceleration_mps2: 0.0, steering_rad: 0.0 }
     }
 
-    /// Passes a command, changed where a limit asks for it. `allowed_mps` is what the [`SpeedGovernor`] allows.
+    /// Behind a vehicle at rest.
+    pub fn reset(&mut self) {
+        self.resume(0.0, 0.0);
+    }
+
+    /// Behind a vehicle that moves, with the speed and steering angle that were measured: brought within the limits,
+    /// which the next commands start from. What is not finite counts as 0.
+    pub fn resume(&mut self, speed_mps: f64, steering_rad: f64) {
+        let or_zero = |number: f64| if number.is_finite() { number } else { 0.0 };
+        let limit_rad = self.limits.steering_rad;
+        self.steering_rad = or_zero(steering_rad).clamp(-limit_rad, limit_rad);
+        let (floor_mps, cap_mps) = self.limits.speeds_mps(self.steering_rad);
+        self.speed_mps = or_zero(speed_mps).clamp(floor_mps, cap_mps);
+        self.acceleration_mps2 = 0.0;
+    }
+
+    /// The steering angle that was passed last.
+    pub fn steering_rad(&self) -> f64 {
+        self.steering_rad
+    }
+
+    /// The speed that was passed last.
+    pub fn speed_mps(&self) -> f64 {
+        self.speed_mps
+    }
+
+    /// Passes a command `dt_s` behind the last one, changed where a limit asks for it. `allowed_mps` is what the
+    /// [`SpeedGovernor`](crate::SpeedGovernor) allows.
     pub fn pass(
-        &self,
+        &mut self,
+        dt_s: f64,
         allowed_mps: f64,
-        speed_mps: f64,
-        yaw_rate_radps: f64,
-        steering_rad: f64,
+        wanted: Wanted,
     ) -> Passed {
-        if !(speed_mps.is_finite() && yaw_rate_radps.is_finite() && steering_rad.is_finite()) {
-            let change = Change { rejected: true, ..Change::default() };
-            return Passed { speed_mps: 0.0, yaw_rate_radps: 0.0, steering_rad: 0.0, change };
+        if !wanted.is_finite() {
+            let mut slower = self.slow_down(dt_s);
+            slower.change.rejected = true;
+            return slower;
         }
-        let limit_rad = self.steering_limit_rad;
-        let limit_mps = self.speed_limit_mps.min(allowed_mps);
+        let Wanted { speed_mps, yaw_rate_radps, steering_rad } = wanted;
+        let limited_mps = speed_mps
+            .min(self.limits.speed_mps.min(allowed_mps))
+            .max(-self.limits.reverse_mps);
+        let mut passed = self.shape(dt_s, limited_mps, f64::INFINITY, steering_rad);
+        passed.yaw_rate_radps = yaw_rate_radps;
+        passed.change.speed_limited = limited_mps != speed_mps;
+        passed
+    }
+
+    /// A command of the gate's own: slower, with the steering held.
+    pub fn slow_down(&mut self, dt_s: f64) -> Passed {
+        self.shape(dt_s, 0.0, self.limits.stop_mps2, self.steering_rad)
+    }
+
+    /// A command of the gate's own: slower, and straight on.
+    pub fn stop(&mut self, dt_s: f64) -> Passed {
+        self.shape(dt_s, 0.0, self.limits.stop_mps2, 0.0)
+    }
+
+    /// Goes as near to a wanted speed and steering angle as the limits allow, slowing down by at most `braking_mps2`.
+    fn shape(
+        &mut self,
+        dt_s: f64,
+        wanted_mps: f64,
+        braking_mps2: f64,
+        wanted_rad: f64,
+    ) -> Passed {
+        let limits = self.limits;
+        let dt_s = dt_s.max(SHORTEST_S);
+        let (floor_mps, cap_mps) = limits.speeds_mps(self.steering_rad);
+        let target_mps = wanted_mps.max(floor_mps).min(cap_mps);
+        let gentle_mps = self.approach_mps(dt_s, target_mps).max(self.speed_mps - braking_mps2 * dt_s);
+        let jerk_mps2 = limits.jerk_mps3 * dt_s;
+        let least_mps2 = (self.acceleration_mps2 - jerk_mps2).max(-limits.deceleration_mps2);
+        let most_mps2 = (self.acceleration_mps2 + jerk_mps2).min(limits.acceleration_mps2);
+        let speed_mps = gentle_mps
+            .max(self.speed_mps + least_mps2 * dt_s)
+            .min(self.speed_mps + most_mps2 * dt_s)
+            // Already so, but for the last bit.
+            .clamp(floor_mps, cap_mps);
+        let acceleration_mps2 = (speed_mps - self.speed_mps) / dt_s;
+
+        let ranged_rad = wanted_rad.clamp(-limits.steering_rad, limits.steering_rad);
+        let reach_rad = limits.steering_rate_radps * dt_s;
+        let turned_rad =
+            ranged_rad.clamp(self.steering_rad - reach_rad, self.steering_rad + reach_rad);
+        // The speed goes on changing until the jerk has taken the acceleration back.
+        let coming_mps = speed_mps
+            + acceleration_mps2 * acceleration_mps2.abs() / (2.0 * limits.jerk_mps3);
+        let fastest_mps = speed_mps.abs().max(coming_mps.abs());
+        let bound_rad = limits.lateral_rad(fastest_mps).max(self.steering_rad.abs());
+        let steering_rad = turned_rad.clamp(-bound_rad, bound_rad);
+
+        self.speed_mps = speed_mps;
+        self.acceleration_mps2 = acceleration_mps2;
+        self.steering_rad = steering_rad;
         Passed {
-            speed_mps: speed_mps.min(limit_mps),
-            yaw_rate_radps,
-            steering_rad: steering_rad.clamp(-limit_rad, limit_rad),
+            speed_mps,
+            yaw_rate_radps: 0.0,
+            steering_rad,
             change: Change {
-                speed_limited: speed_mps > limit_mps,
-                steering_limited: steering_rad.abs() > limit_rad,
+                speed_limited: false,
+                steering_limited: ranged_rad != wanted_rad,
+                acceleration_limited: speed_mps != target_mps,
+                steering_rate_limited: turned_rad != ranged_rad,
+                lateral_limited: target_mps != wanted_mps || steering_rad != turned_rad,
                 rejected: false,
             },
         }
     }
-}
 
-/// Keeps the vehicle itself below the speed limit, where a limited command alone would not: a speed controller that
-/// has wound up goes on beyond what it is told.
-///
-/// It looks a moment ahead by the acceleration since the last tick. Where that comes nearer to the limit than a
-/// margin, it allows the less the farther it comes; far from the limit it allows all of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpeedGovernor {
-    limit_mps: f64,
-    margin_mps: f64,
-    foresight_s: f64,
-    gain: f64,
-    tick_s: f64,
-    last_mps: Option<f64>,
-}
-
-impl SpeedGovernor {
-    /// The governor of a configuration, at rest.
-    pub fn new(config: &RunConfig) -> Self {
-        let supervisor = config.supervisor;
-        Self {
-            limit_mps: supervisor.speed_limit_mps,
-            margin_mps: supervisor.speed_margin_mps,
-            foresight_s: supervisor.speed_foresight_s,
-            gain: supervisor.speed_gain,
-            tick_s: config.drive.tick_s,
-            last_mps: None,
+    /// The speed after the next `dt_s` on the way to a speed, such that the acceleration is 0 when that is reached,
+    /// within the jerk limit.
+    ///
+    /// An acceleration a held for dt and then taken back takes the speed by at most a·dt + a²/2j; solved for a.
+    fn approach_mps(&self, dt_s: f64, target_mps: f64) -> f64 {
+        let jerk_mps3 = self.limits.jerk_mps3;
+        if jerk_mps3.is_infinite() {
+            return target_mps;
         }
-    }
-
-    /// Back to rest.
-    pub fn reset(&mut self) {
-        self.last_mps = None;
-    }
-
-    /// The highest speed that may be commanded, with the speed that was measured now. A measurement that is not
-    /// finite is taken for the last one that was.
-    pub fn allowed_mps(&mut self, measured_mps: f64) -> f64 {
-        let last_mps = self.last_mps.unwrap_or_default();
-        let now_mps = if measured_mps.is_finite() { measured_mps } else { last_mps };
-        let gained_mps = now_mps - self.last_mps.unwrap_or(now_mps);
-        self.last_mps = Some(now_mps);
-        let coming_mps = now_mps + gained_mps / self.tick_s * self.foresight_s;
-        let aim_mps = self.limit_mps - self.margin_mps;
-        if coming_mps <= aim_mps {
-            return self.limit_mps;
-        }
-        (aim_mps - self.gain * (coming_mps - aim_mps)).clamp(0.0, self.limit_mps)
+        let apart_mps = target_mps - self.speed_mps;
+        let root_s = (dt_s * dt_s + 2.0 * apart_mps.abs() / jerk_mps3).sqrt();
+        self.speed_mps + 2.0 * apart_mps * dt_s / (dt_s + root_s)
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use config::Layers;
-    use proptest::num::f64::ANY;
-    use proptest::prelude::*;
-    use std::sync::LazyLock;
-
-    fn gate() -> Gate {
-        static GATE: LazyLock<Gate> = LazyLock::new(|| {
-            Gate::new(&Layers::maneuver("lane_change").unwrap().resolve().unwrap())
-        });
-        *GATE
-    }
-
-    #[test]
-    fn a_command_within_limits_passes_untouched() {
-        let passed = gate().pass(9.0, 9.0, 70.0, -0.5);
-        assert_eq!(
-            (passed.speed_mps, passed.yaw_rate_radps, passed.steering_rad),
-            (9.0, 70.0, -0.5)
-        );
-        assert_eq!(passed.change, Change::default());
-    }
-
-    #[test]
-    fn limits_are_flagged() {
-        let passed = gate().pass(9.0, 9.1, 0.0, 0.6);
-        assert_eq!((passed.speed_mps, passed.steering_rad), (9.0, gate().steering_limit_rad));
-        assert!(passed.change.speed_limited && passed.change.steering_limited);
-        assert!(gate().pass(9.0, f64::NAN, 0.0, 0.0).change.rejected);
-        assert!(gate().pass(9.0, 0.0, f64::INFINITY, 0.0).change.rejected);
-        assert!(gate().pass(9.0, 0.0, 0.0, f64::NAN).change.rejected);
-    }
-
-    #[test]
-    fn the_governor_looks_ahead() {
-        let mut layers = Layers::maneuver("circuit").unwrap();
-        layers.set("supervisor.speed_margin_mps=0.1").unwrap();
-        let mut governor = SpeedGovernor::new(&layers.resolve().unwrap());
-        // Slow, or near the limit but not getting faster: all of it.
-        assert_eq!(governor.allowed_mps(0.0), 4.0);
-        assert_eq!(governor.allowed_mps(0.02), 4.0);
-        governor.reset();
-        assert_eq!((governor.allowed_mps(3.85), governor.allowed_mps(3.85)), (4.0, 4.0));
-        // Getting faster: less, long before the limit.
-        let nearing = governor.allowed_mps(3.87);
-        assert!(nearing < 3.9, "{nearing}");
-        assert!(governor.allowed_mps(3.95) < nearing);
-        assert_eq!(governor.allowed_mps(100.0), 0.0);
-        assert_eq!(governor.allowed_mps(f64::NAN), 0.0);
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(20_000))]
-        #[test]
-        fn nothing_out_of_limits_passes(
-            measured in ANY, speed in ANY, yaw_rate in ANY, steering in ANY,
-        ) {
-            let config = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
-            let mut governor = SpeedGovernor::new(&config);
-            governor.allowed_mps(1.0);
-            let allowed = governor.allowed_mps(measured);
-            prop_assert!((0.0..=9.0).contains(&allowed));
-            let passed = gate().pass(allowed, speed, yaw_rate, steering);
-            prop_assert!(passed.speed_mps <= 9.0);
-            prop_assert!(passed.steering_rad.abs() <= gate().steering_limit_rad);
-            prop_assert!(passed.speed_mps.is_finite() && passed.yaw_rate_radps.is_finite());
+impl Limits {
+    /// The lowest and the highest speed that may be commanded with a steering angle.
+    fn speeds_mps(&self, steering_rad: f64) -> (f64, f64) {
+        if self.lateral_mps2.is_infinite() {
+            return (-self.reverse_mps, self.speed_mps);
         }
+        let lateral_mps =
+            (self.lateral_mps2 * self.wheelbase_m / libm::tan(steering_rad.abs())).sqrt();
+        (-self.reverse_mps.min(lateral_mps), self.speed_mps.min(lateral_mps))
+    }
+
+    /// The largest steering angle that a speed allows.
+    fn lateral_rad(&self, speed_mps: f64) -> f64 {
+        if self.lateral_mps2.is_infinite() {
+            return FRAC_PI_2;
+        }
+        libm::atan(self.lateral_mps2 * self.wheelbase_m / (speed_mps * speed_mps))
     }
 }

@@ -1,8 +1,17 @@
 //! The paper's high-level supervisor: the safety gate in the command path, and the zones.
 //!
-//! `gate` is pure; [`service`] joins it to the pipeline.
+//! [`Gate`], [`SpeedGovernor`], [`Plausibility`] and [`Guard`] are pure, and [`Watch`] joins them for one vehicle;
+//! [`service`] joins that to the pipeline.
 
 mod gate;
+mod governor;
+mod guard;
+mod plausibility;
 pub mod service;
+mod watch;
 
-pub use gate::{Change, Gate, Passed, SpeedGovernor};
+pub use gate::{Change, Gate, Passed, Wanted};
+pub use governor::SpeedGovernor;
+pub use guard::{Guard, State};
+pub use plausibility::{Movement, Plausibility};
+pub use watch::Watch;

@@ -1,24 +1,31 @@
 //! The supervisor's process: it stands in the command path, and tells the zone.
+//!
+//! In lockstep it answers each raw command, and knows vehicle time only. In real time it also looks at the clock: where
+//! no answer is young enough it sends commands of its own.
+
+use std::time::Duration;
 
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
-    BatchHeader, Command, DriveRequest, Odometry, RawCommand, TickHeader, WakeRole, Zone, has,
+    BatchHeader, Command, DriveRequest, Odometry, RawCommand, Rearm, Safety, TickHeader, WakeRole,
+    Zone, has,
 };
 use runtime::clock::now_ns;
-use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
+use runtime::{Bus, Counters, Inlet, NAP, Outlet, Received, Service, join, serve};
 use tracking::{Pose, ZoneTracker};
 
-use crate::{Gate, Passed, SpeedGovernor};
+use crate::{Movement, Passed, State, Wanted, Watch};
 
 /// Runs the process until it is asked to stop.
 ///
 /// # Errors
 /// If it cannot join the run, or the transport fails.
 pub fn run() -> Result<()> {
+    let started_ns = now_ns();
     let (attachment, bus, config) = join()?;
     attachment.pin();
-    let mut supervisor = Supervisor::new(&bus, &config, attachment.names.run)?;
+    let mut supervisor = Supervisor::new(&bus, &config, attachment.names.run, started_ns)?;
     serve(&attachment, &bus, WakeRole::Supervisor, &mut supervisor)
 }
 
@@ -26,66 +33,115 @@ struct Supervisor {
     requests: Inlet<DriveRequest>,
     odometry: Inlet<Odometry>,
     raw_commands: Inlet<RawCommand>,
+    rearms: Inlet<Rearm>,
     commands: Outlet<Command>,
     zones: Outlet<Zone>,
+    safety: Outlet<Safety>,
     run: u64,
-    gate: Gate,
-    /// A tracker at the start of the path and a governor at rest, to be copied into new slots.
-    fresh: (ZoneTracker, SpeedGovernor),
+    tick_s: f64,
+    answer_age_limit_ns: u64,
+    started_ns: u64,
+    /// A tracker at the start of the path and a watch over a vehicle at rest, to be copied into new slots.
+    fresh: (ZoneTracker, Watch),
     slots: Vec<Slot>,
     /// Zones that begin with the next tick.
     entered: Vec<Zone>,
     batch: BatchHeader,
     /// A raw command of a batch whose request has not come yet: the two travel on different topics.
     early: Option<Received<RawCommand>>,
+    /// What real time adds to a batch.
+    clocked: Option<Clocked>,
     counters: Counters,
+}
+
+/// A batch in real time.
+struct Clocked {
+    /// Header of the newest odometry.
+    seen: Option<TickHeader>,
+    /// Stamp of the odometry that the newest answer belongs to; that of the first odometry before there is one.
+    answered_ns: u64,
+    /// The newest answer, and the ticks' reference with it.
+    has_reference: bool,
+    /// When the last command was sent; 0 before the first.
+    sent_ns: u64,
+    /// Whether the drives had begun before this process did, and no answer has told yet how they stand.
+    joins: bool,
+}
+
+impl Clocked {
+    /// [`Safety::ODOMETRY_STALE`] if there is no odometry that is young enough.
+    fn odometry_faults(&self, now_ns: u64, age_limit_ns: u64) -> u32 {
+        let seen_ns = self.seen.map_or(0, |seen| seen.odometry_sent_ns);
+        let is_stale = now_ns.saturating_sub(seen_ns) > age_limit_ns;
+        if is_stale { Safety::ODOMETRY_STALE } else { 0 }
+    }
 }
 
 struct Slot {
     tracker: ZoneTracker,
-    governor: SpeedGovernor,
+    watch: Watch,
     measured: Pose,
-    speed_mps: f64,
     zone: usize,
+    /// The newest answer, and the tick that it belongs to.
+    raw: RawCommand,
+    raw_tick: u64,
+    ended: bool,
 }
 
 impl Supervisor {
-    fn new(bus: &Bus, config: &RunConfig, run: u64) -> Result<Self> {
+    fn new(bus: &Bus, config: &RunConfig, run: u64, started_ns: u64) -> Result<Self> {
         Ok(Self {
             requests: bus.inlet()?,
             odometry: bus.inlet()?,
             raw_commands: bus.inlet()?,
+            rearms: bus.inlet()?,
             commands: bus.outlet()?,
             zones: bus.outlet()?,
+            safety: bus.outlet()?,
             run,
-            gate: Gate::new(config),
-            fresh: (ZoneTracker::new(config), SpeedGovernor::new(config)),
+            tick_s: config.drive.tick_s,
+            answer_age_limit_ns: (config.vehicle.safety.answer_age_limit_s * 1e9) as u64,
+            started_ns,
+            fresh: (ZoneTracker::new(config), Watch::new(config)),
             slots: Vec::new(),
             entered: Vec::new(),
             batch: BatchHeader::default(),
             early: None,
+            clocked: None,
             counters: Counters::default(),
         })
     }
 
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) {
         self.slots.clear();
+        self.clocked = None;
         if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
             self.counters.dropped += 1;
             return;
         }
         self.slots.extend(requests.iter().map(|request| Slot {
             tracker: self.fresh.0.clone(),
-            governor: self.fresh.1,
-            speed_mps: 0.0,
+            watch: self.fresh.1,
             measured: Pose {
                 x_m: request.start.x_m,
                 y_m: request.start.y_m,
                 yaw_rad: request.start.yaw_rad,
             },
             zone: 0,
+            raw: RawCommand::default(),
+            raw_tick: 0,
+            ended: false,
         }));
         self.batch = header;
+        if requests.iter().any(|request| has(request.flags, DriveRequest::REAL_TIME)) {
+            self.clocked = Some(Clocked {
+                seen: None,
+                answered_ns: 0,
+                has_reference: false,
+                sent_ns: 0,
+                joins: header.sent_ns < self.started_ns,
+            });
+        }
     }
 
     fn is_of_batch(&self, header: TickHeader, len: usize) -> bool {
@@ -95,61 +151,149 @@ impl Supervisor {
             && len > 0
     }
 
-    fn note_poses(&mut self, header: TickHeader, odometry: &[Odometry]) {
+    fn see(&mut self, header: TickHeader, odometry: &[Odometry]) {
         if !self.is_of_batch(header, odometry.len()) {
             return;
         }
+        let joins = self.clocked.as_ref().is_some_and(|it| it.joins && it.seen.is_none());
         for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
-            let measured = Pose {
+            let pose = Pose {
                 x_m: odometry.measured.x_m,
                 y_m: odometry.measured.y_m,
                 yaw_rad: odometry.measured.yaw_rad,
             };
-            if measured.is_finite() {
-                slot.measured = measured;
-            } else {
-                self.counters.rejected += 1;
+            let Odometry { speed_mps, yaw_rate_radps, steering_rad, .. } = *odometry;
+            let movement = Movement { pose, speed_mps, yaw_rate_radps };
+            if joins {
+                slot.watch.resume(movement, steering_rad);
             }
-            // The governor takes what is not finite for the last speed that was.
-            slot.speed_mps = odometry.speed_mps;
+            let faults = slot.watch.see(header.tick, movement);
+            self.counters.rejected += u64::from(faults != 0);
+            if pose.is_finite() {
+                slot.measured = pose;
+            }
+        }
+        if let Some(clocked) = &mut self.clocked {
+            // The clock begins with the first tick: before it, the vehicle is still on its way to the start.
+            if clocked.seen.is_none() {
+                clocked.answered_ns = header.odometry_sent_ns;
+            }
+            clocked.seen = Some(header);
         }
     }
 
+    /// Answers a raw command.
     fn pass(&mut self, header: TickHeader, raw: &[RawCommand]) -> Result<()> {
         let received_ns = now_ns();
         if !self.is_of_batch(header, raw.len()) {
             self.counters.dropped += 1;
             return Ok(());
         }
-        self.tell_zones(header, raw)?;
+        if self.clocked.is_some() && !self.is_young(header, received_ns) {
+            self.counters.late += 1;
+            return Ok(());
+        }
+        self.hear_out(header, raw);
+        self.tell_zones(header)?;
+        self.send(header, received_ns, true)
+    }
+
+    /// Whether an answer is young enough to be passed, and newer than the one before.
+    fn is_young(&self, header: TickHeader, now_ns: u64) -> bool {
+        let Some(clocked) = &self.clocked else { return true };
+        let stamp_ns = header.odometry_sent_ns;
+        now_ns.saturating_sub(stamp_ns) <= self.answer_age_limit_ns
+            && stamp_ns >= clocked.answered_ns
+            // A stamp from the future would stay young for ever.
+            && stamp_ns <= now_ns
+    }
+
+    /// Takes over what the controller says.
+    fn hear_out(&mut self, header: TickHeader, raw: &[RawCommand]) {
+        let mut joins = false;
+        if let Some(clocked) = &mut self.clocked {
+            clocked.answered_ns = header.odometry_sent_ns;
+            clocked.has_reference = true;
+            joins = std::mem::take(&mut clocked.joins);
+        }
+        for (slot, raw) in self.slots.iter_mut().zip(raw) {
+            slot.raw = *raw;
+            slot.raw_tick = header.tick;
+            slot.ended |= has(raw.flags, Command::ENDED);
+            if joins {
+                slot.tracker.resume(raw.reference_along_m);
+                if has(raw.flags, RawCommand::FROZEN) {
+                    slot.watch.stop(Safety::RESTARTED);
+                }
+            }
+        }
+    }
+
+    /// Sends a command: what the raw command wants, if it is an answer, within limits; else one of our own.
+    fn send(&mut self, header: TickHeader, received_ns: u64, is_answer: bool) -> Result<()> {
+        let now = now_ns();
+        let (mut dt_s, mut faults) = (self.tick_s, 0);
+        if let Some(clocked) = &mut self.clocked {
+            if clocked.sent_ns > 0 {
+                dt_s = ((now - clocked.sent_ns) as f64 / 1e9).min(self.tick_s);
+            }
+            clocked.sent_ns = now;
+            faults |= clocked.odometry_faults(now, self.answer_age_limit_ns);
+        }
         self.counters.batch = header.batch;
         self.counters.tick = header.tick + 1;
-        let Self { gate, slots, counters, .. } = self;
+        let Self { slots, counters, .. } = self;
         let header = TickHeader {
             supervisor_received_ns: received_ns,
-            supervisor_sent_ns: now_ns(),
+            supervisor_sent_ns: now,
             ..header
         };
-        self.commands.send(header, raw.len(), |index| {
-            let raw = &raw[index];
+        let clocked = self.clocked.is_some();
+        // In real time every command tells it: a controller that joins needs the last one.
+        let mut tells_safety = clocked;
+        self.commands.send(header, slots.len(), |index| {
             let slot = &mut slots[index];
-            let allowed_mps = slot.governor.allowed_mps(slot.speed_mps);
-            let passed =
-                gate.pass(allowed_mps, raw.speed_mps, raw.yaw_rate_radps, raw.steering_rad);
+            // Behind a rearm the reference stands still until the controller has heard of it.
+            let is_frozen = clocked && has(slot.raw.flags, RawCommand::FROZEN);
+            let wanted = (is_answer && !is_frozen).then_some(Wanted {
+                speed_mps: slot.raw.speed_mps,
+                yaw_rate_radps: slot.raw.yaw_rate_radps,
+                steering_rad: slot.raw.steering_rad,
+            });
+            let state = slot.watch.state();
+            let passed = slot.watch.command(dt_s, faults, wanted);
+            tells_safety |= slot.watch.state() != state;
             counters.rejected += u64::from(passed.change.rejected);
-            to_command(passed, has(raw.flags, Command::ENDED), slot.zone)
+            to_command(passed, slot)
+        })?;
+        if tells_safety { self.tell_safety(now) } else { Ok(()) }
+    }
+
+    fn tell_safety(&mut self, now_ns: u64) -> Result<()> {
+        let has_reference = self.clocked.as_ref().is_none_or(|clocked| clocked.has_reference);
+        let slots = &self.slots;
+        let batch = BatchHeader { flags: 0, sent_ns: now_ns, ..self.batch };
+        self.safety.send(batch, slots.len(), |index| {
+            let Slot { raw, raw_tick, watch, .. } = &slots[index];
+            Safety {
+                tick: *raw_tick,
+                origin_m: raw.origin_m,
+                phase: raw.phase,
+                has_reference: u32::from(has_reference),
+                ..watch.safety()
+            }
         })?;
         Ok(())
     }
 
     /// Announces zones that begin with the next tick, before this tick's command.
-    fn tell_zones(&mut self, header: TickHeader, raw: &[RawCommand]) -> Result<()> {
+    fn tell_zones(&mut self, header: TickHeader) -> Result<()> {
         self.entered.clear();
-        for (index, (slot, raw)) in self.slots.iter_mut().zip(raw).enumerate() {
-            if has(raw.flags, Command::ENDED) {
+        for (index, slot) in self.slots.iter_mut().enumerate() {
+            if slot.ended {
                 continue;
             }
-            let zone = slot.tracker.update(slot.measured, raw.reference_along_m);
+            let zone = slot.tracker.update(slot.measured, slot.raw.reference_along_m);
             if zone != slot.zone {
                 slot.zone = zone;
                 let (from_tick, zone) = (header.tick + 1, zone as u32);
@@ -163,20 +307,72 @@ impl Supervisor {
         }
         Ok(())
     }
+
+    /// Lets stopped vehicles drive again that somebody has rearmed.
+    fn hear_rearms(&mut self) -> Result<bool> {
+        let Some(rearm) = self.rearms.receive()? else { return Ok(false) };
+        let Some(clocked) = self.clocked.as_ref().filter(|_| rearm.header().run == self.run) else {
+            self.counters.dropped += 1;
+            return Ok(true);
+        };
+        let faults = clocked.odometry_faults(now_ns(), self.answer_age_limit_ns);
+        for rearm in rearm.items() {
+            let slot = self.slots.get_mut(rearm.slot as usize);
+            let rearmed = slot.is_some_and(|slot| slot.watch.rearm(faults));
+            tracing::info!(slot = rearm.slot, rearmed, "rearm");
+        }
+        Ok(true)
+    }
+
+    /// When the next command of our own is due, if no answer comes; none in lockstep, before the first odometry, and
+    /// when all drives have ended.
+    fn due_ns(&self) -> Option<u64> {
+        let clocked = self.clocked.as_ref()?;
+        clocked.seen?;
+        if self.slots.iter().all(|slot| slot.ended) {
+            return None;
+        }
+        let too_old_ns = clocked.answered_ns + self.answer_age_limit_ns;
+        Some(too_old_ns.max(clocked.sent_ns + (self.tick_s * 1e9) as u64))
+    }
+
+    /// Sends a command of our own, if it is time for it.
+    fn look_at_clock(&mut self) -> Result<bool> {
+        let now = now_ns();
+        let Some(seen) = self.clocked.as_ref().and_then(|clocked| clocked.seen) else {
+            return Ok(false);
+        };
+        if self.due_ns().is_none_or(|due_ns| now < due_ns) {
+            return Ok(false);
+        }
+        // Nobody answered: the stamps of the controller are not ours to fill.
+        self.send(seen, now, false)?;
+        Ok(true)
+    }
 }
 
-fn to_command(passed: Passed, ended: bool, zone: usize) -> Command {
+fn to_command(passed: Passed, slot: &Slot) -> Command {
     let flag = |on: bool, bit: u32| if on { bit } else { 0 };
+    let change = passed.change;
     Command {
         // A drive that has ended is no reason to go on.
-        speed_mps: if ended { 0.0 } else { passed.speed_mps },
+        speed_mps: if slot.ended { 0.0 } else { passed.speed_mps },
         yaw_rate_radps: passed.yaw_rate_radps,
         steering_rad: passed.steering_rad,
-        flags: flag(ended, Command::ENDED)
-            | flag(passed.change.speed_limited, Command::SPEED_LIMITED)
-            | flag(passed.change.steering_limited, Command::STEERING_LIMITED)
-            | flag(passed.change.rejected, Command::REJECTED),
-        zone: zone as u32,
+        flags: flag(slot.ended, Command::ENDED)
+            | flag(change.speed_limited, Command::SPEED_LIMITED)
+            | flag(change.steering_limited, Command::STEERING_LIMITED)
+            | flag(change.rejected, Command::REJECTED)
+            | flag(change.acceleration_limited, Command::ACCELERATION_LIMITED)
+            | flag(change.steering_rate_limited, Command::STEERING_RATE_LIMITED)
+            | flag(change.lateral_limited, Command::LATERAL_LIMITED)
+            | match slot.watch.state() {
+                State::Normal => 0,
+                State::Degraded => Command::DEGRADED,
+                State::Stopping => Command::STOPPING,
+                State::Stopped => Command::STOPPED,
+            },
+        zone: slot.zone as u32,
     }
 }
 
@@ -195,23 +391,29 @@ impl Service for Supervisor {
             self.start_batch(request.header(), request.items());
             return Ok(true);
         }
-        // The raw command is looked for first: the pose that it answers was there before it.
+        if self.hear_rearms()? {
+            return Ok(true);
+        }
         let raw = match (self.raw_commands.receive()?, self.early.take()) {
             (Some(new), held) => {
                 // What was held belongs to nothing that anybody asked for.
                 self.counters.dropped += u64::from(held.is_some());
-                new
+                Some(new)
             }
-            (None, Some(held)) => held,
-            (None, None) => return Ok(false),
+            (None, held) => held,
         };
+        // The raw command is looked for first: the pose that it answers was there before it. In real time odometry counts
+        // even when nobody answers it.
+        if (raw.is_some() || self.clocked.is_some())
+            && let Some(odometry) = self.odometry.receive_newest()?
+        {
+            self.see(odometry.header(), odometry.items());
+        }
+        let Some(raw) = raw else { return self.look_at_clock() };
         let (header, batch) = (raw.header(), self.batch);
         if header.run == self.run && (header.batch, header.attempt) > (batch.batch, batch.attempt) {
             self.early = Some(raw);
             return Ok(false);
-        }
-        if let Some(odometry) = self.odometry.receive_newest()? {
-            self.note_poses(odometry.header(), odometry.items());
         }
         self.pass(raw.header(), raw.items())?;
         Ok(true)
@@ -219,5 +421,11 @@ impl Service for Supervisor {
 
     fn status(&self) -> Counters {
         self.counters
+    }
+
+    fn nap(&self) -> Duration {
+        self.due_ns().map_or(NAP, |due_ns| {
+            NAP.min(Duration::from_nanos(due_ns.saturating_sub(now_ns())))
+        })
     }
 }

@@ -16,6 +16,9 @@ pub struct Reference {
     timetable: Option<Timetable>,
     tick_s: f64,
     along_m: f64,
+    /// Where its clock last started from rest, and the path's own time there.
+    origin_m: f64,
+    origin_s: f64,
 }
 
 /// When the reference passes each point of a path, at speeds that change evenly in time between them.
@@ -43,6 +46,18 @@ impl Timetable {
             rows.push(TimetableRow { time_s, along_m, speed_mps });
         }
         Self { rows }
+    }
+
+    /// When the reference passes a place: the inverse of [`Timetable::along_m`].
+    fn time_s(&self, along_m: f64) -> f64 {
+        let behind = self.rows.partition_point(|row| row.along_m <= along_m);
+        let last = self.rows[behind.saturating_sub(1)];
+        let Some(next) = self.rows.get(behind) else { return last.time_s };
+        let accel_mps2 = (next.speed_mps - last.speed_mps) / (next.time_s - last.time_s);
+        let apart_m = along_m - last.along_m;
+        // The root of v·t + a/2·t² = s, in the form that also holds for a = 0.
+        let root_mps = (last.speed_mps * last.speed_mps + 2.0 * accel_mps2 * apart_m).max(0.0).sqrt();
+        last.time_s + 2.0 * apart_m / (last.speed_mps + root_mps)
     }
 
     /// Distance run after a time, held at the end.
@@ -73,10 +88,12 @@ impl Reference {
             ramp_s: config.reference.ramp_s,
             tick_s: config.drive.tick_s,
             along_m: 0.0,
+            origin_m: 0.0,
+            origin_s: 0.0,
         }
     }
 
-    /// Moves to `tick`, with the pose that was measured there, and returns the reference pose.
+    /// Moves to `tick` of its clock, with the pose that was measured there, and returns the reference pose.
     pub fn advance(&mut self, tick: u64, measured: Pose) -> Pose {
         match self.advance {
             Advance::Time => {
@@ -93,7 +110,24 @@ impl Reference {
 
     /// Back to the start of the path.
     pub fn reset(&mut self) {
-        self.along_m = 0.0;
+        self.restart_at(0.0);
+    }
+
+    /// At a place along the path, at rest, with the clock at 0.
+    pub fn restart_at(&mut self, origin_m: f64) {
+        self.origin_m = origin_m;
+        self.origin_s = self.timetable.as_ref().map_or(0.0, |it| it.time_s(origin_m));
+        self.along_m = origin_m;
+    }
+
+    /// Where the clock last started from rest, along the path.
+    pub fn origin_m(&self) -> f64 {
+        self.origin_m
+    }
+
+    /// The place of the path nearest to a pose, at most `window_m` along the path away from the reference.
+    pub fn projection_m(&self, pose: Pose, window_m: f64) -> f64 {
+        self.path.project(pose.x_m, pose.y_m, self.along_m, window_m).along_m
     }
 
     /// Progress along the path.
@@ -112,7 +146,7 @@ impl Reference {
         self.along_m + ahead_m >= self.path.length_m()
     }
 
-    /// Distance run after a time: a linear ramp from rest, then the set speed, or the path's own.
+    /// Place along the path after a time: a linear ramp from rest, then the set speed, or the path's own.
     fn distance_after(&self, time_s: f64) -> f64 {
         if let Some(timetable) = &self.timetable {
             // The ramp stretches time, as it does at a set speed: the path's speeds are reached where
@@ -122,13 +156,14 @@ impl Reference {
             } else {
                 time_s - 0.5 * self.ramp_s
             };
-            return timetable.along_m(at_speed_s);
+            return timetable.along_m(self.origin_s + at_speed_s);
         }
-        if time_s < self.ramp_s {
+        let run_m = if time_s < self.ramp_s {
             0.5 * self.speed_mps * time_s * time_s / self.ramp_s
         } else {
             self.speed_mps * (time_s - 0.5 * self.ramp_s)
-        }
+        };
+        self.origin_m + run_m
     }
 }
 

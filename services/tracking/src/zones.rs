@@ -39,6 +39,12 @@ impl ZoneTracker {
         self.zone = 0;
     }
 
+    /// On the way, at a place along the path: the next update tells the zone there.
+    pub fn resume(&mut self, along_m: f64) {
+        self.along_m = along_m;
+        self.zone = 0;
+    }
+
     /// The zone with the pose that was measured now, and the reference's progress.
     pub fn update(&mut self, measured: Pose, reference_along_m: f64) -> usize {
         if self.from_m.len() == 1 {

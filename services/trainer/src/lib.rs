@@ -15,6 +15,7 @@ mod rng;
 mod robust;
 pub mod schedule;
 pub mod service;
+mod single;
 mod statistics;
 mod sweep;
 mod sweeping;
@@ -30,6 +31,7 @@ pub use outcome::{
 pub use ranking::Ranking;
 pub use recording::Row;
 pub use robust::{Comparison, FinalistOutcome, Finalists, NoiseOutcome, rank_mean_distance};
+pub use single::{SingleDrive, SingleOutcome};
 pub use statistics::{Estimate, Verdict};
 pub use sweep::{PlannedDrive, Sweep};
 pub(crate) use training::vote_by;

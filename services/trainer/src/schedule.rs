@@ -16,6 +16,7 @@ use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 
 use crate::grid::GridSweep;
 use crate::service::write_outcome;
+use crate::single::SingleDrive;
 use crate::sweeping::{Place, Progress, Sweeping};
 use crate::validation::{Switch, Validation};
 
@@ -60,6 +61,7 @@ struct Schedule {
 enum Subject {
     Validation(Validation),
     Grid(GridSweep),
+    Drive(SingleDrive),
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -81,10 +83,12 @@ impl Schedule {
         let subject = match plan.kind {
             SweepKind::Validate => Subject::Validation(Validation::new(&config, plan)),
             SweepKind::Grid => Subject::Grid(GridSweep::new(&config, plan)),
+            SweepKind::Drive => Subject::Drive(SingleDrive::new(&config, plan)),
         };
         let drives = match &subject {
             Subject::Validation(validation) => validation.drives(),
             Subject::Grid(grid) => grid.drives(),
+            Subject::Drive(drive) => drive.drives(),
         };
         let place = Place {
             run: attachment.names.run,
@@ -92,7 +96,8 @@ impl Schedule {
             max_len: attachment.max_len,
             tick_s: config.drive.tick_s,
             ticks: config.ticks(),
-            incarnation: attachment.incarnation,
+            // A drive in real time goes on without us, and is not made again.
+            incarnation: if plan.realtime { 0 } else { attachment.incarnation },
         };
         Ok(Self {
             requests: bus.inlet()?,
@@ -228,6 +233,12 @@ impl Schedule {
                 write_outcome(&self.folder, &outcome)?;
             }
             Subject::Grid(grid) => write_outcome(&self.folder, &grid.outcome(&reports))?,
+            Subject::Drive(drive) => {
+                let switches = self.switches.remove(&0).unwrap_or_default();
+                let mut outcome = drive.outcome(&reports[0], switches);
+                outcome.drives_recorded = self.sweeping.recorded();
+                write_outcome(&self.folder, &outcome)?;
+            }
         }
         self.stage = Stage::Over;
         let header = self.sweeping.header(Proposal::FINISHED);

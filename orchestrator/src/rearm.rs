@@ -1,0 +1,91 @@
+//! `pathtune rearm`: lets a vehicle that was stopped drive again.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::{BatchHeader, Rearm, Safety};
+use runtime::clock::now_ns;
+use runtime::observer::Observer;
+
+use crate::Failure;
+use crate::housekeeping::living_run;
+use crate::pipeline::describe_reasons;
+use crate::terminal::say;
+
+/// The supervisor tells its state with every command: it answers within this, or not at all.
+const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
+const LOOK_EVERY: Duration = Duration::from_millis(5);
+
+/// Lets one stopped vehicle of a living run drive again, or all of them.
+///
+/// # Errors
+/// If no run is meant, no vehicle is stopped, or one is not let drive; says why.
+pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
+    let run = living_run(run)?;
+    let observer = Observer::attach(&run.names).map_err(|why| Failure::User(why.to_string()))?;
+    let states = observer.bus().observe::<Safety>()?;
+    let rearms = observer.bus().outlet::<Rearm>()?;
+    let until = Instant::now() + ANSWERS_WITHIN;
+    let newest = || -> Result<Option<Vec<Safety>>, Failure> {
+        Ok(states.receive_newest()?.map(|message| message.items().to_vec()))
+    };
+    let mut meant: Option<Vec<u32>> = None;
+    loop {
+        if let Some(states) = newest()? {
+            match &meant {
+                None => meant = Some(stopped(&states, vehicle)?),
+                Some(slots) => {
+                    let is_latched = |slot: &&u32| {
+                        let state = states.get(**slot as usize).map(|it| it.state);
+                        matches!(state, Some(Safety::STOPPING | Safety::STOPPED))
+                    };
+                    if !slots.iter().any(|slot| is_latched(&slot)) {
+                        for slot in slots {
+                            say!("vehicle {slot} is rearmed");
+                        }
+                        return Ok(());
+                    }
+                }
+            }
+            if let Some(slots) = &meant {
+                // Again and again: it is heard only while the vehicle stands.
+                let header =
+                    BatchHeader { run: run.names.run, sent_ns: now_ns(), ..BatchHeader::default() };
+                for slot in slots {
+                    rearms.send(header, 1, |_| Rearm { slot: *slot, reserved: 0 })?;
+                }
+            }
+        }
+        if Instant::now() > until {
+            let why = match meant {
+                None => "the run's supervisor tells nothing: only a drive in real time can be stopped and rearmed",
+                Some(_) => {
+                    "the vehicle is not let drive: it still moves, or its odometry is missing or implausible; see \
+                     `pathtune monitor`"
+                }
+            };
+            return Err(Failure::User(why.to_owned()));
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+}
+
+/// The slots that are meant: they are stopped, or come to a stop.
+fn stopped(states: &[Safety], vehicle: Option<u32>) -> Result<Vec<u32>, Failure> {
+    let latched: Vec<u32> = (0..)
+        .zip(states)
+        .filter(|(slot, it)| {
+            (it.state == Safety::STOPPED || it.state == Safety::STOPPING)
+                && vehicle.is_none_or(|vehicle| vehicle == *slot)
+        })
+        .map(|(slot, it)| {
+            tracing::info!(slot, reasons = describe_reasons(it.reasons), "stopped");
+            slot
+        })
+        .collect();
+    if latched.is_empty() {
+        let which = vehicle.map_or("no vehicle".to_owned(), |slot| format!("vehicle {slot}"));
+        let verb = if vehicle.is_some() { "is not stopped" } else { "is stopped" };
+        return Err(Failure::User(format!("{which} {verb}: there is nothing to rearm")));
+    }
+    Ok(latched)
+}

@@ -1,0 +1,114 @@
+//! What the gate does about faults: a small state machine, one a vehicle.
+
+use config::RunConfig;
+use ipc_types::Safety;
+
+/// How the vehicle is let drive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum State {
+    /// Commands pass, within limits.
+    Normal,
+    /// Something is missing or implausible: slower, with the steering held, until it is well again.
+    Degraded,
+    /// It lasted too long: to a stop, straight on.
+    Stopping,
+    /// The vehicle stands; nothing but a rearm lets it drive again.
+    Stopped,
+}
+
+impl State {
+    /// The state's number on the wire, one of [`Safety::NORMAL`] and the values behind it.
+    pub fn number(self) -> u32 {
+        match self {
+            Self::Normal => Safety::NORMAL,
+            Self::Degraded => Safety::DEGRADED,
+            Self::Stopping => Safety::STOPPING,
+            Self::Stopped => Safety::STOPPED,
+        }
+    }
+
+    /// Whether nothing but a rearm leads back to normal.
+    pub fn is_latched(self) -> bool {
+        matches!(self, Self::Stopping | Self::Stopped)
+    }
+}
+
+/// The state machine. Faults are the bits of [`Safety::reasons`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Guard {
+    state: State,
+    reasons: u32,
+    /// Time with faults, less the time without since then.
+    faulty_s: f64,
+    degraded_limit_s: f64,
+    standstill_mps: f64,
+}
+
+impl Guard {
+    /// A guard that has seen no fault.
+    pub fn new(config: &RunConfig) -> Self {
+        let safety = config.vehicle.safety;
+        Self {
+            state: State::Normal,
+            reasons: 0,
+            faulty_s: 0.0,
+            degraded_limit_s: safety.degraded_limit_s,
+            standstill_mps: safety.standstill_mps,
+        }
+    }
+
+    /// Takes the faults that there are now, `dt_s` behind the last time, with the speeds of the last command and of the
+    /// vehicle.
+    pub fn update(&mut self, dt_s: f64, faults: u32, commanded_mps: f64, measured_mps: f64) -> State {
+        match self.state {
+            State::Normal | State::Degraded if faults == 0 => {
+                self.faulty_s = (self.faulty_s - dt_s).max(0.0);
+                self.reasons = 0;
+                self.state = State::Normal;
+            }
+            State::Normal | State::Degraded => {
+                self.faulty_s += dt_s;
+                self.reasons = faults;
+                self.state =
+                    if self.faulty_s > self.degraded_limit_s { State::Stopping } else { State::Degraded };
+            }
+            State::Stopping => {
+                let stands = commanded_mps.abs().max(measured_mps.abs()) < self.standstill_mps;
+                // A speed that nobody has measured lately says nothing.
+                if stands && faults & Safety::ODOMETRY_STALE == 0 {
+                    self.state = State::Stopped;
+                }
+            }
+            State::Stopped => {}
+        }
+        self.state
+    }
+
+    /// Stops the vehicle for good.
+    pub fn stop(&mut self, reasons: u32) {
+        self.reasons |= reasons;
+        if !self.state.is_latched() {
+            self.state = State::Stopping;
+        }
+    }
+
+    /// Lets a stopped vehicle drive again, if nothing is wrong but what a standing vehicle cannot help: that the
+    /// controller's reference stands still. Whether it does.
+    pub fn rearm(&mut self, faults: u32) -> bool {
+        let ready = self.state == State::Stopped && faults & !Safety::COMMAND_STALE == 0;
+        if ready {
+            (self.state, self.reasons, self.faulty_s) = (State::Normal, 0, 0.0);
+        }
+        ready
+    }
+
+    /// The state.
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// What is wrong now, or was when the vehicle was stopped.
+    pub fn reasons(&self) -> u32 {
+        self.reasons
+    }
+}

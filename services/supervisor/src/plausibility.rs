@@ -1,0 +1,81 @@
+//! Whether odometry can be believed.
+
+
+
+use config::RunConfig;
+use ipc_types::Safety;
+use tracking::{Pose, wrap_angle};
+
+/// What the vehicle says of its movement at one tick.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Movement {
+    /// Measured pose of the tracked point.
+    pub pose: Pose,
+    /// Forward speed.
+    pub speed_mps: f64,
+    /// Yaw rate.
+    pub yaw_rate_radps: f64,
+}
+
+/// Compares each odometry with the last one that was believed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plausibility {
+    last: Option<(u64, Movement)>,
+    tick_s: f64,
+    reach_m: f64,
+    limit_m: f64,
+    limit_rad: f64,
+}
+
+impl Plausibility {
+    /// Believes the first odometry that comes, if it is finite.
+    pub fn new(config: &RunConfig) -> Self {
+        let safety = config.vehicle.safety;
+        Self {
+            last: None,
+            tick_s: config.drive.tick_s,
+            // The speed is that of the rear axle: the tracked point turns around it.
+            reach_m: config.vehicle.tracked_point_m.abs(),
+            limit_m: safety.jump_limit_m,
+            limit_rad: safety.jump_limit_rad,
+        }
+    }
+
+    /// Forgets what was believed: the next finite odometry will be.
+    pub fn forget(&mut self) {
+        self.last = None;
+    }
+
+    /// The last movement that was believed.
+    pub fn believed(&self) -> Option<Movement> {
+        self.last.map(|(_, movement)| movement)
+    }
+
+    /// What is wrong with the odometry of a tick, as bits of [`Safety::reasons`]; 0 if it is believed.
+    pub fn check(&mut self, tick: u64, now: Movement) -> u32 {
+        let Movement { pose, speed_mps, yaw_rate_radps } = now;
+        if !(pose.is_finite() && speed_mps.is_finite() && yaw_rate_radps.is_finite()) {
+            return Safety::ODOMETRY_INVALID;
+        }
+        if let Some((last_tick, last)) = self.last {
+            if tick <= last_tick {
+                return Safety::TIME_BACK;
+            }
+            if self.is_jump((tick - last_tick) as f64 * self.tick_s, last, now) {
+                return Safety::ODOMETRY_JUMP;
+            }
+        }
+        self.last = Some((tick, now));
+        0
+    }
+
+    fn is_jump(&self, dt_s: f64, last: Movement, now: Movement) -> bool {
+        let rate_radps = last.yaw_rate_radps.abs().max(now.yaw_rate_radps.abs());
+        let speed_mps = last.speed_mps.abs().max(now.speed_mps.abs()) + rate_radps * self.reach_m;
+        let moved_m = libm::hypot(now.pose.x_m - last.pose.x_m, now.pose.y_m - last.pose.y_m);
+        // A yaw that wraps has not jumped.
+        let turned_rad = wrap_angle(now.pose.yaw_rad - last.pose.yaw_rad);
+        moved_m > speed_mps * dt_s + self.limit_m
+            || turned_rad.abs() > rate_radps * dt_s + self.limit_rad
+    }
+}

@@ -1,0 +1,110 @@
+//! Everything that the supervisor keeps for one vehicle, joined: what is believed, the state, the gate.
+
+use config::RunConfig;
+use ipc_types::Safety;
+
+use crate::{Gate, Guard, Movement, Passed, Plausibility, SpeedGovernor, State, Wanted};
+
+/// The supervisor of one vehicle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Watch {
+    plausibility: Plausibility,
+    governor: SpeedGovernor,
+    guard: Guard,
+    gate: Gate,
+    /// What was wrong with the last odometry.
+    odometry_faults: u32,
+    /// The last speed that was believed, and what the governor makes of it.
+    speed_mps: f64,
+    allowed_mps: f64,
+    changed: u64,
+    own: u64,
+}
+
+impl Watch {
+    /// The supervisor of a configuration, before a vehicle at rest.
+    pub fn new(config: &RunConfig) -> Self {
+        Self {
+            plausibility: Plausibility::new(config),
+            governor: SpeedGovernor::new(config),
+            guard: Guard::new(config),
+            gate: Gate::new(config),
+            odometry_faults: 0,
+            speed_mps: 0.0,
+            allowed_mps: config.supervisor.speed_limit_mps,
+            changed: 0,
+            own: 0,
+        }
+    }
+
+    /// Goes on with a vehicle that drives already, of which nothing was known: slowly, until everything is well.
+    pub fn resume(&mut self, movement: Movement, steering_rad: f64) {
+        self.gate.resume(movement.speed_mps, steering_rad);
+    }
+
+    /// Takes odometry. What is wrong with it, as bits of [`Safety::reasons`]; 0 if it is believed.
+    pub fn see(&mut self, tick: u64, movement: Movement) -> u32 {
+        if self.guard.state() == State::Stopped {
+            // Somebody may have pushed it.
+            self.plausibility.forget();
+        }
+        self.odometry_faults = self.plausibility.check(tick, movement);
+        if self.odometry_faults == 0 {
+            self.speed_mps = movement.speed_mps;
+            self.allowed_mps = self.governor.allowed_mps(movement.speed_mps);
+        }
+        self.odometry_faults
+    }
+
+    /// The command of a moment that lies `dt_s` behind the last one: what is wanted, within limits, or one of the
+    /// supervisor's own. `faults` are those of the loop, beside what the odometry and the numbers show.
+    pub fn command(&mut self, dt_s: f64, faults: u32, wanted: Option<Wanted>) -> Passed {
+        let usable = wanted.filter(|wanted| wanted.is_finite());
+        let missing = match (wanted, usable) {
+            (_, Some(_)) => 0,
+            (Some(_), None) => Safety::COMMAND_INVALID,
+            (None, None) => Safety::COMMAND_STALE,
+        };
+        let faults = faults | missing | self.odometry_faults;
+        let state = self.guard.update(dt_s, faults, self.gate.speed_mps(), self.speed_mps);
+        let mut passed = match (state, usable) {
+            (State::Normal, Some(usable)) => self.gate.pass(dt_s, self.allowed_mps, usable),
+            (State::Normal | State::Degraded, _) => self.gate.slow_down(dt_s),
+            (State::Stopping | State::Stopped, _) => self.gate.stop(dt_s),
+        };
+        passed.change.rejected |= missing == Safety::COMMAND_INVALID;
+        if state == State::Normal {
+            self.changed += u64::from(passed.change.is_any());
+        } else {
+            self.own += 1;
+        }
+        passed
+    }
+
+    /// Stops the vehicle for good.
+    pub fn stop(&mut self, reasons: u32) {
+        self.guard.stop(reasons);
+    }
+
+    /// Lets a stopped vehicle drive again; whether it may. `faults` are those of the loop.
+    pub fn rearm(&mut self, faults: u32) -> bool {
+        self.guard.rearm(faults | self.odometry_faults)
+    }
+
+    /// The state.
+    pub fn state(&self) -> State {
+        self.guard.state()
+    }
+
+    /// What the supervisor tells of itself, of the last tick and the reference's clock.
+    pub fn safety(&self) -> Safety {
+        Safety {
+            steering_rad: self.gate.steering_rad(),
+            changed: self.changed,
+            own: self.own,
+            state: self.guard.state().number(),
+            reasons: self.guard.reasons(),
+            ..Safety::default()
+        }
+    }
+}
