@@ -25,6 +25,7 @@ pub fn presets() -> &'static [Preset] {
         "maneuvers/path.toml",
         "vehicles/tesla_model_3.toml",
         "vehicles/tesla_model_3_dynamic.toml",
+        "vehicles/tesla_model_3_guarded.toml",
         "launch/train.toml",
     )
 }

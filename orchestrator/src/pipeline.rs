@@ -257,6 +257,10 @@ impl<'a> Pipeline<'a> {
                 self.seen = self.seen.max(member.seen);
                 self.seen_ns = now_ns();
             }
+            if self.realtime && member.is_ready() {
+                // There are no batches whose end could show that all is well.
+                member.policy.works();
+            }
             if member.beat(now_ns()) {
                 tracing::info!(process = member.name, pid = member.pid, "ready");
                 if self.realtime {

@@ -71,7 +71,12 @@ impl Sandbox {
 
     /// Starts a training in the background.
     pub fn start_training(&self, out: &str, args: &[&str]) -> Training<'_> {
-        let mut all = vec!["train"];
+        self.start("train", out, args)
+    }
+
+    /// Starts a run in the background.
+    pub fn start(&self, command: &str, out: &str, args: &[&str]) -> Training<'_> {
+        let mut all = vec![command];
         all.extend(args);
         all.extend(["--out", out]);
         let child = self.command(&all).spawn().unwrap();
@@ -84,6 +89,13 @@ impl Sandbox {
         all.extend(args);
         let child = self.command(&all).spawn().unwrap();
         Training { sandbox: self, child: Some(child), out: out.to_owned() }
+    }
+
+    /// Whether a run of this sandbox is alive and drives.
+    pub fn has_living_run(&self) -> bool {
+        let status = self.run(&["status", "--json"]);
+        let status: Value = serde_json::from_slice(&status.stdout).unwrap_or_default();
+        status["runs"][0]["batch"].as_u64().unwrap_or_default() > 0
     }
 
     /// The one living run of this sandbox.
@@ -203,6 +215,11 @@ impl Training<'_> {
             assert!(Instant::now() < until, "waited in vain for {what}");
             std::thread::sleep(Duration::from_millis(2));
         }
+    }
+
+    /// Asks it to stop.
+    pub fn interrupt(&self) {
+        signal(self.id(), Signal::INT);
     }
 
     /// Waits for the end.
