@@ -4,9 +4,7 @@ mod support;
 
 use std::time::{Duration, Instant};
 
-use ipc_types::{
-    BatchHeader, Command as WireCommand, Odometry, Rearm, Safety, TickHeader, has,
-};
+use ipc_types::{BatchHeader, Command as WireCommand, Odometry, Rearm, Safety, TickHeader, has};
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
 use runtime::run::RunNames;
@@ -183,7 +181,8 @@ struct Spread(u64);
 
 impl Spread {
     fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 =
+            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
 }

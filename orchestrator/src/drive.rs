@@ -50,10 +50,7 @@ fn choose(args: &DriveArgs, config: &RunConfig) -> Result<Vec<Gains>, Failure> {
 }
 
 /// The tuned gains of trainings: of a single one for the whole path, or of one for each manoeuvre that is due.
-fn from_trainings(
-    runs: &[impl AsRef<Path>],
-    config: &RunConfig,
-) -> Result<Vec<Gains>, Failure> {
+fn from_trainings(runs: &[impl AsRef<Path>], config: &RunConfig) -> Result<Vec<Gains>, Failure> {
     let mut tuned = Vec::new();
     for run in runs {
         tuned.push(tuned_gains(run.as_ref())?);

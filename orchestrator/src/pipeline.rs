@@ -10,8 +10,8 @@ use std::time::Duration;
 use config::launch::{Launch, Role};
 use config::{RunConfig, SweepPlan};
 use ipc_types::{
-    BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Safety, Status,
-    WakeRole, WirePose, has,
+    BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Safety,
+    Status, WakeRole, WirePose, has,
 };
 use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;

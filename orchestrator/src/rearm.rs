@@ -57,7 +57,9 @@ pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
         }
         if Instant::now() > until {
             let why = match meant {
-                None => "the run's supervisor tells nothing: only a drive in real time can be stopped and rearmed",
+                None => {
+                    "the run's supervisor tells nothing: only a drive in real time can be stopped and rearmed"
+                }
                 Some(_) => {
                     "the vehicle is not let drive: it still moves, or its odometry is missing or implausible; see \
                      `pathtune monitor`"

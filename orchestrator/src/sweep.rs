@@ -29,7 +29,8 @@ pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
         return Err(Failure::User(why.to_owned()));
     }
     fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
-    let plan = SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, realtime: false, sets };
+    let plan =
+        SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, realtime: false, sets };
     let name = format!("validate-{}", config.maneuver);
     sweep(&args.setup, config, plan, &name, "validate", tables::print_validation)
 }

@@ -3,8 +3,8 @@
 use anyhow::Result;
 use config::{Gains, MAX_FLEET, RunConfig};
 use ipc_types::{
-    BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, Odometry, RawCommand, TickHeader,
-    Safety, TrackingError, WakeRole, WirePose, Zone, has,
+    BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, Odometry, RawCommand, Safety,
+    TickHeader, TrackingError, WakeRole, WirePose, Zone, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
@@ -132,8 +132,7 @@ impl Controller {
     fn answer(&mut self, header: TickHeader, odometry: &[Odometry]) -> Result<()> {
         let received_ns = now_ns();
         let expected = self.driving.is_some_and(|(batch, tick)| {
-            let is_next =
-                if self.real_time { header.tick >= tick } else { header.tick == tick };
+            let is_next = if self.real_time { header.tick >= tick } else { header.tick == tick };
             (header.run, header.batch, header.attempt) == (self.run, batch.batch, batch.attempt)
                 && is_next
         });

@@ -293,7 +293,8 @@ pub(crate) fn read(run: &Path) -> Result<(Head, RunResult), ReportError> {
         Some("grid") => RunResult::Grid(typed(&path, &value)?),
         Some("drive") => RunResult::Drive(typed(&path, &value)?),
         Some(other) => {
-            let problem = format!("kind: {other:?} is none of \"train\", \"validate\", \"grid\", \"drive\"");
+            let problem =
+                format!("kind: {other:?} is none of \"train\", \"validate\", \"grid\", \"drive\"");
             return Err(ReportError::malformed(&path, None, problem));
         }
     };

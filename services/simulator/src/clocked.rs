@@ -151,13 +151,7 @@ impl Clocked {
 
 impl Batch {
     /// One tick of the world.
-    fn step(
-        &self,
-        slots: &mut [Slot],
-        now_ns: u64,
-        command_age_limit_ns: u64,
-        stop_step_mps: f64,
-    ) {
+    fn step(&self, slots: &mut [Slot], now_ns: u64, command_age_limit_ns: u64, stop_step_mps: f64) {
         let fresh = self.held.as_ref().filter(|(header, _)| {
             now_ns.saturating_sub(header.supervisor_sent_ns) <= command_age_limit_ns
         });

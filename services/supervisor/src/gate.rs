@@ -15,8 +15,11 @@ use std::f64::consts::FRAC_PI_2;
 
 use config::RunConfig;
 
-/// Commands that follow each other faster count as so long apart.
+/// Commands that follow each other faster, or slower, count as so long apart.
 const SHORTEST_S: f64 = 1e-6;
+const LONGEST_S: f64 = 1.0;
+/// No command is lower than this, even where reversing is not bounded: numbers far beyond could not be reckoned with.
+const LOWEST_MPS: f64 = -1000.0;
 
 /// What the controller wants of one vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -105,7 +108,7 @@ impl Gate {
         let safety = config.vehicle.safety;
         let limits = Limits {
             speed_mps: config.supervisor.speed_limit_mps,
-            reverse_mps: safety.reverse_limit_mps,
+            reverse_mps: safety.reverse_limit_mps.min(-LOWEST_MPS),
             acceleration_mps2: safety.acceleration_limit_mps2,
             deceleration_mps2: safety.deceleration_limit_mps2,
             jerk_mps3: safety.jerk_limit_mps3,
@@ -147,21 +150,15 @@ impl Gate {
 
     /// Passes a command `dt_s` behind the last one, changed where a limit asks for it. `allowed_mps` is what the
     /// [`SpeedGovernor`](crate::SpeedGovernor) allows.
-    pub fn pass(
-        &mut self,
-        dt_s: f64,
-        allowed_mps: f64,
-        wanted: Wanted,
-    ) -> Passed {
+    pub fn pass(&mut self, dt_s: f64, allowed_mps: f64, wanted: Wanted) -> Passed {
         if !wanted.is_finite() {
             let mut slower = self.slow_down(dt_s);
             slower.change.rejected = true;
             return slower;
         }
         let Wanted { speed_mps, yaw_rate_radps, steering_rad } = wanted;
-        let limited_mps = speed_mps
-            .min(self.limits.speed_mps.min(allowed_mps))
-            .max(-self.limits.reverse_mps);
+        let limited_mps =
+            speed_mps.min(self.limits.speed_mps.min(allowed_mps)).max(-self.limits.reverse_mps);
         let mut passed = self.shape(dt_s, limited_mps, f64::INFINITY, steering_rad);
         passed.yaw_rate_radps = yaw_rate_radps;
         passed.change.speed_limited = limited_mps != speed_mps;
@@ -179,18 +176,13 @@ impl Gate {
     }
 
     /// Goes as near to a wanted speed and steering angle as the limits allow, slowing down by at most `braking_mps2`.
-    fn shape(
-        &mut self,
-        dt_s: f64,
-        wanted_mps: f64,
-        braking_mps2: f64,
-        wanted_rad: f64,
-    ) -> Passed {
+    fn shape(&mut self, dt_s: f64, wanted_mps: f64, braking_mps2: f64, wanted_rad: f64) -> Passed {
         let limits = self.limits;
-        let dt_s = dt_s.max(SHORTEST_S);
+        let dt_s = dt_s.max(SHORTEST_S).min(LONGEST_S);
         let (floor_mps, cap_mps) = limits.speeds_mps(self.steering_rad);
         let target_mps = wanted_mps.max(floor_mps).min(cap_mps);
-        let gentle_mps = self.approach_mps(dt_s, target_mps).max(self.speed_mps - braking_mps2 * dt_s);
+        let gentle_mps =
+            self.approach_mps(dt_s, target_mps).max(self.speed_mps - braking_mps2 * dt_s);
         let jerk_mps2 = limits.jerk_mps3 * dt_s;
         let least_mps2 = (self.acceleration_mps2 - jerk_mps2).max(-limits.deceleration_mps2);
         let most_mps2 = (self.acceleration_mps2 + jerk_mps2).min(limits.acceleration_mps2);
@@ -206,8 +198,8 @@ impl Gate {
         let turned_rad =
             ranged_rad.clamp(self.steering_rad - reach_rad, self.steering_rad + reach_rad);
         // The speed goes on changing until the jerk has taken the acceleration back.
-        let coming_mps = speed_mps
-            + acceleration_mps2 * acceleration_mps2.abs() / (2.0 * limits.jerk_mps3);
+        let coming_mps =
+            speed_mps + acceleration_mps2 * acceleration_mps2.abs() / (2.0 * limits.jerk_mps3);
         let fastest_mps = speed_mps.abs().max(coming_mps.abs());
         let bound_rad = limits.lateral_rad(fastest_mps).max(self.steering_rad.abs());
         let steering_rad = turned_rad.clamp(-bound_rad, bound_rad);

@@ -59,7 +59,13 @@ impl Guard {
 
     /// Takes the faults that there are now, `dt_s` behind the last time, with the speeds of the last command and of the
     /// vehicle.
-    pub fn update(&mut self, dt_s: f64, faults: u32, commanded_mps: f64, measured_mps: f64) -> State {
+    pub fn update(
+        &mut self,
+        dt_s: f64,
+        faults: u32,
+        commanded_mps: f64,
+        measured_mps: f64,
+    ) -> State {
         match self.state {
             State::Normal | State::Degraded if faults == 0 => {
                 self.faulty_s = (self.faulty_s - dt_s).max(0.0);
@@ -69,8 +75,11 @@ impl Guard {
             State::Normal | State::Degraded => {
                 self.faulty_s += dt_s;
                 self.reasons = faults;
-                self.state =
-                    if self.faulty_s > self.degraded_limit_s { State::Stopping } else { State::Degraded };
+                self.state = if self.faulty_s > self.degraded_limit_s {
+                    State::Stopping
+                } else {
+                    State::Degraded
+                };
             }
             State::Stopping => {
                 let stands = commanded_mps.abs().max(measured_mps.abs()) < self.standstill_mps;

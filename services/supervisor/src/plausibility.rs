@@ -1,7 +1,5 @@
 //! Whether odometry can be believed.
 
-
-
 use config::RunConfig;
 use ipc_types::Safety;
 use tracking::{Pose, wrap_angle};

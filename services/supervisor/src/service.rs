@@ -243,11 +243,8 @@ impl Supervisor {
         self.counters.batch = header.batch;
         self.counters.tick = header.tick + 1;
         let Self { slots, counters, .. } = self;
-        let header = TickHeader {
-            supervisor_received_ns: received_ns,
-            supervisor_sent_ns: now,
-            ..header
-        };
+        let header =
+            TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now, ..header };
         let clocked = self.clocked.is_some();
         // In real time every command tells it: a controller that joins needs the last one.
         let mut tells_safety = clocked;
@@ -424,8 +421,7 @@ impl Service for Supervisor {
     }
 
     fn nap(&self) -> Duration {
-        self.due_ns().map_or(NAP, |due_ns| {
-            NAP.min(Duration::from_nanos(due_ns.saturating_sub(now_ns())))
-        })
+        self.due_ns()
+            .map_or(NAP, |due_ns| NAP.min(Duration::from_nanos(due_ns.saturating_sub(now_ns()))))
     }
 }

@@ -56,7 +56,8 @@ impl Timetable {
         let accel_mps2 = (next.speed_mps - last.speed_mps) / (next.time_s - last.time_s);
         let apart_m = along_m - last.along_m;
         // The root of v·t + a/2·t² = s, in the form that also holds for a = 0.
-        let root_mps = (last.speed_mps * last.speed_mps + 2.0 * accel_mps2 * apart_m).max(0.0).sqrt();
+        let root_mps =
+            (last.speed_mps * last.speed_mps + 2.0 * accel_mps2 * apart_m).max(0.0).sqrt();
         last.time_s + 2.0 * apart_m / (last.speed_mps + root_mps)
     }
 
