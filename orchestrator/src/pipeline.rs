@@ -2,6 +2,7 @@
 //!
 //! [`Pipeline::run_to_end`] is the main loop.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,6 +16,7 @@ use ipc_types::{
 };
 use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;
+use runtime::observer::CORE_FILE;
 use runtime::run::RunNames;
 use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
@@ -134,7 +136,13 @@ impl<'a> Pipeline<'a> {
         let config = &plan.config;
         let max_len = config.fleet().max(config.run.alphas.len());
         let bus = Bus::create(names, max_len)?;
-        let core = CoreClaim::new();
+        // By the clock nobody has to be quick behind somebody else: whichever core is free will do.
+        let realtime = plan.sweep.as_ref().is_some_and(|sweep| sweep.realtime);
+        let core = if realtime { None } else { CoreClaim::new() };
+        if let Some(claim) = &core {
+            // Observers leave it alone.
+            let _ = fs::write(names.root.join(CORE_FILE), claim.core.to_string());
+        }
         let random_kills = match &plan.chaos {
             None => RandomKills::new(0.0, 1),
             Some((script, seed)) => {
@@ -175,7 +183,7 @@ impl<'a> Pipeline<'a> {
             sequencer,
             progress,
             interrupted: plan.interrupted.clone(),
-            realtime: plan.sweep.as_ref().is_some_and(|sweep| sweep.realtime),
+            realtime,
             gates: Vec::new(),
             batch_is_broken: false,
             seen: (0, 0),

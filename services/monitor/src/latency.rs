@@ -271,6 +271,10 @@ impl Latency {
             self.figures.counts.strays += 1;
             return;
         }
+        if header.controller_sent_ns == 0 {
+            // One of the supervisor's own, in real time: it answers nothing.
+            return;
+        }
         let (sent_ns, received_ns) = (header.controller_sent_ns, header.supervisor_received_ns);
         self.note(Hop::ControllerToSupervisor, sent_ns, received_ns);
         self.note(Hop::Supervisor, received_ns, header.supervisor_sent_ns);

@@ -203,7 +203,7 @@ impl View {
     fn draw(&self, frame: &mut Frame) {
         let picture = self.frozen.as_ref().unwrap_or(&self.live);
         let [head, hops, spark, events, keys] = Layout::vertical([
-            Constraint::Length(5),
+            Constraint::Length(6),
             Constraint::Length(9),
             Constraint::Length(5),
             Constraint::Fill(1),
@@ -247,6 +247,18 @@ fn draw_head(frame: &mut Frame, area: Rect, picture: &Picture) {
         human(interval.budget_ns),
         total.implausible + total.strays,
     ));
+    let gate = Line::raw(format!(
+        "gate {}   {}   changed {}   own {}{}",
+        vehicle.gate,
+        if vehicle.reasons.is_empty() {
+            "nothing wrong".to_owned()
+        } else {
+            vehicle.reasons.join(" ")
+        },
+        vehicle.changed_commands,
+        vehicle.own_commands,
+        if vehicle.own_stop { "   the vehicle stops on its own" } else { "" },
+    ));
     let lines = vec![
         Line::raw(format!(
             "{:.0} ticks/s   period {}   jitter {}   age {}   batch {} attempt {} tick {}   restarts {}",
@@ -269,6 +281,7 @@ fn draw_head(frame: &mut Frame, area: Rect, picture: &Picture) {
             vehicle.steering_rad,
             vehicle.zone,
         )),
+        if vehicle.gate == "normal" && !vehicle.own_stop { gate } else { gate.red() },
     ];
     let block = Block::bordered().title(format!(" run {}   {:.0} s ", interval.run, total.t_s));
     frame.render_widget(Paragraph::new(lines).block(block), area);

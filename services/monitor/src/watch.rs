@@ -5,7 +5,7 @@ use std::fs::{self, File};
 use std::time::Duration;
 
 use ipc_types::topics::OBSERVER_BUFFER;
-use ipc_types::{Command, Odometry, RawCommand};
+use ipc_types::{Command, Odometry, RawCommand, Safety, has};
 use runtime::clock::now_ns;
 use runtime::observer::{Observer, ObserverError};
 use runtime::run::{LOCK_FILE, RunNames};
@@ -14,7 +14,7 @@ use serde::Deserialize;
 
 use crate::MonitorError;
 use crate::latency::{Figures, Latency};
-use crate::report::{Circumstances, Report, Vehicle, flag_names};
+use crate::report::{Circumstances, Report, Vehicle, flag_names, reason_names, state_name};
 
 /// How long a run that is only just being made may refuse.
 const BEING_MADE: Duration = Duration::from_secs(2);
@@ -25,6 +25,7 @@ pub(crate) struct Watch {
     odometry: Inlet<Odometry>,
     raw_commands: Inlet<RawCommand>,
     commands: Inlet<Command>,
+    safety: Inlet<Safety>,
     _observer: Observer,
     names: RunNames,
     latency: Latency,
@@ -82,19 +83,20 @@ impl Watch {
         let observer = Observer::attach(names)?;
         let ports = || -> Result<_, BusError> {
             let bus = observer.bus();
-            Ok((bus.observe()?, bus.observe()?, bus.observe()?))
+            Ok((bus.observe()?, bus.observe()?, bus.observe()?, bus.observe()?))
         };
-        let (odometry, raw_commands, commands) = ports()?;
+        let (odometry, raw_commands, commands, safety) = ports()?;
         let now_ns = now_ns();
         let mut watch = Self {
             odometry,
             raw_commands,
             commands,
+            safety,
             _observer: observer,
             names: names.clone(),
             latency: Latency::new(names.run, budget_ns),
             total: Figures::new(),
-            vehicle: Vehicle { slot, ..Vehicle::default() },
+            vehicle: Vehicle { slot, gate: state_name(Safety::NORMAL), ..Vehicle::default() },
             is_in_range: false,
             budget_ns,
             restarts: BTreeMap::new(),
@@ -111,6 +113,17 @@ impl Watch {
         for _ in 0..OBSERVER_BUFFER {
             let Some(message) = self.odometry.receive()? else { break };
             self.latency.odometry(message.header());
+            if let Some(odometry) = message.items().get(self.vehicle.slot) {
+                self.vehicle.own_stop = has(odometry.status, Odometry::OWN_STOP);
+            }
+        }
+        if let Some(message) = self.safety.receive_newest()?
+            && let Some(safety) = message.items().get(self.vehicle.slot)
+        {
+            self.vehicle.gate = state_name(safety.state);
+            self.vehicle.reasons = reason_names(safety.reasons);
+            self.vehicle.changed_commands = safety.changed;
+            self.vehicle.own_commands = safety.own;
         }
         let mut newest = None;
         for _ in 0..OBSERVER_BUFFER {

@@ -8,6 +8,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
 use crate::run::{LOCK_FILE, RunNames};
 use crate::{Bus, BusError};
 
@@ -67,6 +69,7 @@ impl Observer {
             return Err(ObserverError::Full);
         }
         observer.bus = Some(Bus::attach(names, 1)?);
+        step_aside(names);
         Ok(observer)
     }
 
@@ -76,6 +79,20 @@ impl Observer {
     /// Never: an attached observer has one.
     pub fn bus(&self) -> &Bus {
         self.bus.as_ref().expect("attached")
+    }
+}
+
+/// Name of the file in the run's private folder that tells the core on which its ring runs.
+pub const CORE_FILE: &str = "core";
+
+/// Leaves the ring's core to the ring, where there are others; a refusal costs the ring some speed and nothing else.
+fn step_aside(names: &RunNames) {
+    let core = fs::read_to_string(names.root.join(CORE_FILE)).ok().and_then(|it| it.parse().ok());
+    let Some(core) = core.filter(|core| *core < CpuSet::MAX_CPU) else { return };
+    let Ok(mut cores) = sched_getaffinity(None) else { return };
+    cores.unset(core);
+    if cores.count() > 0 {
+        let _ = sched_setaffinity(None, &cores);
     }
 }
 
