@@ -25,6 +25,9 @@ pub fn presets() -> &'static [Preset] {
         "maneuvers/path.toml",
         "vehicles/tesla_model_3.toml",
         "vehicles/tesla_model_3_dynamic.toml",
+        "vehicles/ackermann.toml",
+        "vehicles/carla.toml",
+        "vehicles/f1tenth.toml",
         "launch/train.toml",
     )
 }
