@@ -127,7 +127,8 @@ fn is_topic(name: &str) -> bool {
             && word.chars().next().is_some_and(|c| !c.is_ascii_digit())
             && !word.contains("__")
     };
-    name.len() <= MAX_NAME && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_word))
+    name.len() <= MAX_NAME
+        && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_word))
 }
 
 #[cfg(test)]
@@ -140,7 +141,8 @@ mod tests {
         for name in ["/odom", "/carla/ego_vehicle/odometry", "/_x/y1"] {
             assert!(is_topic(name), "{name}");
         }
-        for name in ["", "/", "odom", "/odom/", "//odom", "/1odom", "/a b", "/a__b", "~/odom", "/ä"] {
+        for name in ["", "/", "odom", "/odom/", "//odom", "/1odom", "/a b", "/a__b", "~/odom", "/ä"]
+        {
             assert!(!is_topic(name), "{name}");
         }
     }

@@ -3,9 +3,7 @@
 //! Pure: the time is an argument.
 
 use config::{Align, RunConfig};
-use ipc_types::{
-    BatchHeader, Command, DriveRequest, Odometry, TickHeader, WirePose, has,
-};
+use ipc_types::{BatchHeader, Command, DriveRequest, Odometry, TickHeader, WirePose, has};
 use tracking::{Pose, wrap_angle};
 
 use crate::frames::{Alignment, Reading};
@@ -171,8 +169,7 @@ impl Car {
 
     /// Whether the car stands at the start of the path.
     pub fn is_at_start(&self, now_ns: u64) -> bool {
-        let stands =
-            self.fresh(now_ns).is_some_and(|it| it.speed_mps.abs() <= self.standstill_mps);
+        let stands = self.fresh(now_ns).is_some_and(|it| it.speed_mps.abs() <= self.standstill_mps);
         stands
             && self.offset(now_ns).is_some_and(|off| {
                 off.distance_m <= self.start_distance_m && off.heading_rad <= self.start_heading_rad
@@ -270,8 +267,7 @@ impl Car {
             self.counts.rejected += 1;
             Setpoint::default()
         });
-        drive.held =
-            Some(Held { tick: header.tick, sent_ns: header.supervisor_sent_ns, setpoint });
+        drive.held = Some(Held { tick: header.tick, sent_ns: header.supervisor_sent_ns, setpoint });
         drive.applied_ns = now_ns;
         drive.own_stop = false;
         self.told = Some((setpoint, now_ns));
@@ -314,7 +310,8 @@ impl Car {
                         self.counts.late += 1;
                     }
                     Some(reading) => {
-                        step.odometry = Some(self.odometry(&drive, tick, reading, setpoint, now_ns));
+                        step.odometry =
+                            Some(self.odometry(&drive, tick, reading, setpoint, now_ns));
                     }
                 }
                 drive.clock = Some((since_ns, tick + 1));

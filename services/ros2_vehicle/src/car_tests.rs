@@ -211,11 +211,8 @@ fn a_restarted_process_goes_on_where_the_car_is() {
     let mut car = driving(Align::Start);
     car.see(reading(3.0, 2.0, 4), T0 + 29 * TICK);
     let before = odometry(car.step(T0 + 29 * TICK));
-    let begun = Begun {
-        batch: 1,
-        attempt: 1,
-        alignment: Alignment { turn_rad: 0.0, x_m: 0.0, y_m: -2.0 },
-    };
+    let begun =
+        Begun { batch: 1, attempt: 1, alignment: Alignment { turn_rad: 0.0, x_m: 0.0, y_m: -2.0 } };
     let mut car = Car::new(&config(Align::Start), 7);
     let now = T0 + 30 * TICK;
     assert!(car.request(batch(1), &[DriveRequest::default()], now));

@@ -100,10 +100,8 @@ fn yaw_of(q: Quaternion) -> Option<f64> {
     if !(norm2.is_finite() && norm2 > 1e-6) {
         return None;
     }
-    let yaw_rad = libm::atan2(
-        2.0 * (q.w * q.z + q.x * q.y),
-        q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z,
-    );
+    let yaw_rad =
+        libm::atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z);
     Some(yaw_rad)
 }
 

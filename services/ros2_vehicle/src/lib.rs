@@ -2,8 +2,9 @@
 //! Ackermann messages.
 //!
 //! What needs no ROS 2 is pure and stands in [`messages`] (as they are on the wire), [`frames`] (which point, in which
-//! frame), [`stop`] (what the car is told, and how it comes to a stop) and [`car`] (a drive in real time). The process
-//! around them needs the feature `dds`, which brings DDS itself: no ROS needs to be installed.
+//! frame), [`stop`] (what the car is told, and how it comes to a stop), [`car`] (a drive in real time) and [`watch`]
+//! (what to say of what is missing). The process around them needs the feature `dds`, which brings DDS itself: no ROS
+//! needs to be installed.
 
 pub mod car;
 pub mod frames;
@@ -13,8 +14,7 @@ mod ros;
 #[cfg(feature = "dds")]
 mod service;
 pub mod stop;
-#[cfg(feature = "dds")]
-mod watch;
+pub mod watch;
 
 /// The user can mend it: one line that says how.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -37,6 +37,7 @@ pub fn run() -> anyhow::Result<()> {
 /// Always: [`Refused`].
 #[cfg(not(feature = "dds"))]
 pub fn run() -> anyhow::Result<()> {
-    let why = "this build has no ros2-vehicle; build it with `cargo build --release --features ros2`";
+    let why =
+        "this build has no ros2-vehicle; build it with `cargo build --release --features ros2`";
     Err(Refused(why.to_owned()).into())
 }

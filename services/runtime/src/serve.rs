@@ -49,6 +49,11 @@ pub trait Service {
     fn is_finished(&self) -> bool {
         false
     }
+
+    /// When it wants to be polled again although nobody wakes it, by [`now_ns`]; `u64::MAX` for never.
+    fn due_ns(&self) -> u64 {
+        u64::MAX
+    }
 }
 
 /// What a process tells of itself with each sign of life.
@@ -118,7 +123,8 @@ pub fn serve(
             yield_now();
         } else if waiting.may_sleep() {
             bus.look_for_readers();
-            alarm.wait(NAP);
+            let due = Duration::from_nanos(service.due_ns().saturating_sub(now_ns()));
+            alarm.wait(NAP.min(due));
             look = true;
         } else {
             yield_now();
