@@ -49,9 +49,11 @@ mod with {
 
     use super::support::{Sandbox, signal};
 
-    /// Keeps DDS on this machine.
-    const LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" \
-        multicast=\"true\"/></Interfaces></General></Domain></CycloneDDS>";
+    /// Keeps DDS on this machine, where it is found at the ports that everybody knows: loopback has no multicast.
+    const LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\"/></Interfaces>\
+        <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
+        <MaxAutoParticipantIndex>9</MaxAutoParticipantIndex><Peers><Peer Address=\"127.0.0.1\"/></Peers>\
+        </Discovery></Domain></CycloneDDS>";
 
     /// Python with what the car is made of.
     fn python() -> Option<OsString> {
@@ -98,6 +100,14 @@ mod with {
             let text = fs::read_to_string(&self.1).unwrap_or_default();
             // The last line may be half written.
             text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+        }
+
+        fn wait_until_it_lives(&self) {
+            let until = Instant::now() + Duration::from_secs(20);
+            while self.log().is_empty() {
+                assert!(Instant::now() < until, "the peer does not start");
+                std::thread::sleep(Duration::from_millis(20));
+            }
         }
 
         fn last(&self, key: &str) -> f64 {
@@ -343,7 +353,7 @@ mod with {
         let before = car.last("speed_mps");
         let silent = ring.drive(Duration::from_secs(2), |_| None);
         let (own, rest): (Vec<_>, Vec<_>) =
-            silent.iter().partition(|(_, seen)| has(seen.status, Odometry::OWN_STOP));
+            silent.into_iter().partition(|(_, seen)| has(seen.status, Odometry::OWN_STOP));
         assert!(before > 1.2 && rest.len() < 30 && own.len() > 120, "{} {}", rest.len(), own.len());
         assert!(car.last("speed_mps") < 0.3 && car.last("told_mps") == 0.0);
         assert_eq!(car.last("told_rad"), 0.0);
@@ -418,11 +428,7 @@ mod with {
             let (sandbox, domain) = (Sandbox::new(), own_domain());
             let car = with_car.then(|| Peer::start(&sandbox, &python, domain, &[]));
             if let Some(car) = &car {
-                let until = Instant::now() + Duration::from_secs(10);
-                while car.log().is_empty() {
-                    assert!(Instant::now() < until, "the car does not start");
-                    std::thread::sleep(Duration::from_millis(20));
-                }
+                car.wait_until_it_lives();
             }
             let started = Instant::now();
             let settings = ["vehicle.ros2.odometry_reliability='reliable'"];
@@ -457,9 +463,8 @@ mod with {
     fn a_car_that_somebody_drives_already_is_left_to_them() {
         let Some(python) = python() else { return };
         let (sandbox, domain) = (Sandbox::new(), own_domain());
-        let _driver = Peer::start(&sandbox, &python, domain, &["--driver"]);
-        // Python takes its time to start.
-        std::thread::sleep(Duration::from_secs(2));
+        let driver = Peer::start(&sandbox, &python, domain, &["--driver"]);
+        driver.wait_until_it_lives();
         let mut ring = Ring::start(&sandbox, domain, "ackermann", &[]);
         let status = ring.adapter.wait().unwrap();
         let told = ring.told();

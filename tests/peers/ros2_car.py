@@ -41,6 +41,8 @@ def drive(participant, args):
     writer = DataWriter(
         participant, Topic(participant, "rt" + args.drive, ros.AckermannDriveStamped), qos=ros.qos(True)
     )
+    with open(args.log, "w") as log:
+        print("{}", file=log)
     while True:
         writer.write(ros.AckermannDriveStamped())
         time.sleep(0.02)

@@ -10,6 +10,7 @@ use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 use serde::{Deserialize, Serialize};
 
+use crate::Refused;
 use crate::car::{Begun, Car};
 use crate::frames::{Alignment, Reader, Unusable};
 use crate::ros::Ros;
@@ -55,7 +56,6 @@ struct Adapter {
 /// What has been told, so that it is not told on and on.
 struct Watch {
     due_ns: u64,
-    since_ns: u64,
     /// When it is told next that odometry, or a reader of the commands, is missing.
     odometry_ns: u64,
     hearers_ns: u64,
@@ -84,7 +84,6 @@ impl Adapter {
             look_ns: 0,
             watch: Watch {
                 due_ns: now_ns,
-                since_ns: now_ns,
                 odometry_ns: now_ns + FIRST_TOLD_NS,
                 hearers_ns: now_ns + FIRST_TOLD_NS,
                 start_ns: 0,
@@ -173,7 +172,10 @@ impl Adapter {
     }
 
     /// Says what is missing.
-    fn watch(&mut self, now_ns: u64) {
+    ///
+    /// # Errors
+    /// If somebody else drives the car, and we have not yet.
+    fn watch(&mut self, now_ns: u64) -> Result<()> {
         self.watch.due_ns = now_ns + WATCH_NS;
         let age_ns = self.car.odometry_age_ns(now_ns);
         if age_ns.is_some_and(|age_ns| age_ns < WATCH_NS) {
@@ -201,8 +203,12 @@ impl Adapter {
         }
         let others = self.ros.other_drivers();
         if others > self.watch.others {
-            let topic = driven_by_others(self.ros.drive_topic(), others);
-            tracing::warn!("{topic}");
+            let why = driven_by_others(self.ros.drive_topic(), others);
+            // Discovery may take longer than a start may. On the road it is too late to leave the car to them.
+            if !self.car.has_driven() && self.begun_before.is_none() {
+                return Err(Refused(why).into());
+            }
+            tracing::warn!("{why}");
         }
         self.watch.others = others;
         if self.car.is_awaited() && now_ns >= self.watch.start_ns {
@@ -216,6 +222,7 @@ impl Adapter {
                 ),
             }
         }
+        Ok(())
     }
 }
 
@@ -259,7 +266,7 @@ impl Service for Adapter {
             self.look(now_ns);
         }
         if now_ns >= self.watch.due_ns {
-            self.watch(now_ns);
+            self.watch(now_ns)?;
         }
         Ok(any)
     }
