@@ -26,8 +26,11 @@ class Car:
         self.cg_m = self.p.b
         x = start_x + self.cg_m * math.cos(start_yaw)
         y = start_y + self.cg_m * math.sin(start_yaw)
+        self._stand(x, y, 0.0, start_yaw)
+
+    def _stand(self, x, y, steering_rad, yaw):
         # x, y, steering angle, speed, yaw, yaw rate, slip angle; of the centre of gravity.
-        self.state = init_mb([x, y, 0.0, 0.0, start_yaw, 0.0, 0.0], self.p)
+        self.state = init_mb([x, y, steering_rad, 0.0, yaw, 0.0, 0.0], self.p)
 
     def step(self, dt, speed_mps, steering_rad):
         """Drives on for so long, towards a speed and an angle of the road wheels."""
@@ -39,6 +42,9 @@ class Car:
             limit = self.p.steering.v_max
             rate = min(max((steering_rad - self.state[2]) / h, -limit), limit)
             self._heun(h, [rate, acceleration])
+        if speed_mps == 0.0 and abs(self.state[3]) < 0.05:
+            # The model's wheels and suspension do not survive a stop, after which it would hardly move.
+            self._stand(self.state[0], self.state[1], self.state[2], self.state[4])
 
     def _heun(self, h, inputs):
         first = vehicle_dynamics_mb(self.state, inputs, self.p)

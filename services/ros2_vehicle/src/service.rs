@@ -23,7 +23,7 @@ const BETWEEN_STOPS: Duration = Duration::from_millis(20);
 /// Longest time between two looks at the network.
 const LOOK_NS: u64 = 5_000_000;
 /// When something that is missing is told for the first time, and then again.
-const FIRST_TOLD_NS: u64 = 3_000_000_000;
+const FIRST_TOLD_NS: u64 = 2_000_000_000;
 const TOLD_AGAIN_NS: u64 = 10_000_000_000;
 /// Between looks at who is there.
 const WATCH_NS: u64 = 500_000_000;
