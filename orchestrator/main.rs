@@ -59,7 +59,12 @@ fn main() -> ExitCode {
         Command::Clean { dry_run } => orchestrator::clean(dry_run),
         Command::Doctor { json } => orchestrator::doctor(json),
         Command::Config(command) => orchestrator::show_config(&command),
-        Command::Service { service } => serve(service).map_err(Failure::from),
+        Command::Service { service } => {
+            serve(service).map_err(|error| match error.downcast::<ros2_vehicle::Refused>() {
+                Ok(refused) => Failure::User(refused.to_string()),
+                Err(error) => Failure::Other(error),
+            })
+        }
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -172,6 +177,7 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
         ServiceCommand::Recorder => recorder::service::run(),
         ServiceCommand::Replayer => replayer::vehicle::run(),
         ServiceCommand::Reviewer => replayer::reviewer::run(),
+        ServiceCommand::Ros2Vehicle => ros2_vehicle::run(),
         ServiceCommand::Cleaner => runtime::cleanup::run_helper(),
         ServiceCommand::Wake { pid, after_ms } => {
             runtime::chaos::wake_later(pid, Duration::from_millis(after_ms));

@@ -50,7 +50,7 @@ impl Role {
     /// Our own services that can fill the role, the usual one first.
     pub fn own_services(self) -> &'static [&'static str] {
         match self {
-            Role::Vehicle => &["simulator", "replayer"],
+            Role::Vehicle => &["simulator", "replayer", "ros2-vehicle"],
             Role::Controller => &["controller"],
             Role::Supervisor => &["supervisor"],
             Role::Trainer => &["trainer", "schedule", "reviewer"],

@@ -26,6 +26,9 @@ pub fn presets() -> &'static [Preset] {
         "vehicles/tesla_model_3.toml",
         "vehicles/tesla_model_3_dynamic.toml",
         "vehicles/tesla_model_3_guarded.toml",
+        "vehicles/ackermann.toml",
+        "vehicles/carla.toml",
+        "vehicles/f1tenth.toml",
         "launch/train.toml",
     )
 }

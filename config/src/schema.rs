@@ -485,6 +485,7 @@ pub struct Vehicle {
     pub gear_poll_s: f64,
     pub gear_speed_mps: f64,
     pub safety: Safety,
+    pub ros2: crate::Ros2,
 }
 
 /// Limits of what may reach the vehicle, and of what may be believed of it. `inf` switches a limit off.

@@ -437,6 +437,8 @@ pub enum ServiceCommand {
     Recorder,
     Replayer,
     Reviewer,
+    #[command(name = "ros2-vehicle")]
+    Ros2Vehicle,
     /// One process of the bare ring
     Ring {
         hop: HopArg,

@@ -1,13 +1,11 @@
 //! The simulator in real time: a tick every `drive.tick_s` of the clock, with the last command held until it is too
 //! old.
 
-use std::time::Duration;
-
 use anyhow::Result;
 use config::RunConfig;
 use ipc_types::{BatchHeader, Command, Odometry, TickHeader, has};
 use runtime::clock::now_ns;
-use runtime::{Counters, Inlet, NAP, Outlet};
+use runtime::{Counters, Inlet, Outlet};
 
 use crate::service::Slot;
 
@@ -56,15 +54,9 @@ impl Clocked {
         self.batch = Some(Batch { header, since_ns, tick, held: None, applied_ns: 0 });
     }
 
-    /// How long the process may sleep: until the next tick.
-    pub(crate) fn nap(&self, now_ns: u64) -> Duration {
-        self.batch.as_ref().map_or(NAP, |batch| {
-            NAP.min(Duration::from_nanos(self.due_ns(batch).saturating_sub(now_ns)))
-        })
-    }
-
-    fn due_ns(&self, batch: &Batch) -> u64 {
-        batch.since_ns + batch.tick * self.tick_ns
+    /// When the next tick is due; never, before the first batch.
+    pub(crate) fn due_ns(&self) -> u64 {
+        self.batch.as_ref().map_or(u64::MAX, |batch| batch.since_ns + batch.tick * self.tick_ns)
     }
 
     /// Takes commands as they come, and makes a tick when it is due.
@@ -81,7 +73,8 @@ impl Clocked {
             self.hold(command.header(), command.items(), slots, counters);
         }
         let now_ns = now_ns();
-        let Some(batch) = self.batch.as_ref().filter(|batch| now_ns >= self.due_ns(batch)) else {
+        let due_ns = self.due_ns();
+        let Some(batch) = self.batch.as_ref().filter(|_| now_ns >= due_ns) else {
             return Ok(any);
         };
         let due_tick = now_ns.saturating_sub(batch.since_ns) / self.tick_ns;

@@ -3,8 +3,6 @@
 //! It publishes odometry k, waits for command k, integrates, and publishes k+1: as fast as the rest of the
 //! ring answers. With `run.realtime` it paces by the clock instead: see [`crate::clocked`].
 
-use std::time::Duration;
-
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
@@ -12,7 +10,7 @@ use ipc_types::{
     has,
 };
 use runtime::clock::now_ns;
-use runtime::{Bus, Counters, Inlet, NAP, Outlet, Service, join, serve};
+use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use tracking::Pose;
 
 use crate::clocked::Clocked;
@@ -253,7 +251,7 @@ impl Service for Simulator {
         self.counters
     }
 
-    fn nap(&self) -> Duration {
-        self.clocked.as_ref().map_or(NAP, |clocked| clocked.nap(now_ns()))
+    fn due_ns(&self) -> u64 {
+        self.clocked.as_ref().map_or(u64::MAX, Clocked::due_ns)
     }
 }

@@ -3,8 +3,6 @@
 //! In lockstep it answers each raw command, and knows vehicle time only. In real time it also looks at the clock: where
 //! no answer is young enough it sends commands of its own.
 
-use std::time::Duration;
-
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
@@ -12,7 +10,7 @@ use ipc_types::{
     Zone, has,
 };
 use runtime::clock::now_ns;
-use runtime::{Bus, Counters, Inlet, NAP, Outlet, Received, Service, join, serve};
+use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
 use tracking::{Pose, ZoneTracker};
 
 use crate::{Movement, Passed, State, Wanted, Watch};
@@ -323,7 +321,7 @@ impl Supervisor {
 
     /// When the next command of our own is due, if no answer comes; none in lockstep, before the first odometry, and
     /// when all drives have ended.
-    fn due_ns(&self) -> Option<u64> {
+    fn own_due_ns(&self) -> Option<u64> {
         let clocked = self.clocked.as_ref()?;
         clocked.seen?;
         if self.slots.iter().all(|slot| slot.ended) {
@@ -339,7 +337,7 @@ impl Supervisor {
         let Some(seen) = self.clocked.as_ref().and_then(|clocked| clocked.seen) else {
             return Ok(false);
         };
-        if self.due_ns().is_none_or(|due_ns| now < due_ns) {
+        if self.own_due_ns().is_none_or(|due_ns| now < due_ns) {
             return Ok(false);
         }
         // Nobody answered: the stamps of the controller are not ours to fill.
@@ -420,8 +418,7 @@ impl Service for Supervisor {
         self.counters
     }
 
-    fn nap(&self) -> Duration {
-        self.due_ns()
-            .map_or(NAP, |due_ns| NAP.min(Duration::from_nanos(due_ns.saturating_sub(now_ns()))))
+    fn due_ns(&self) -> u64 {
+        self.own_due_ns().unwrap_or(u64::MAX)
     }
 }

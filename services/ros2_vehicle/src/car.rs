@@ -1,0 +1,403 @@
+//! A drive in real time: which odometry is published when, and what the car is told meanwhile.
+//!
+//! Pure: the time is an argument.
+
+use config::{Align, RunConfig};
+use ipc_types::{BatchHeader, Command, DriveRequest, Odometry, TickHeader, WirePose, has};
+use tracking::{Pose, wrap_angle};
+
+use crate::frames::{Alignment, Reading};
+use crate::stop::{Setpoint, Setpoints};
+
+/// The car, between its odometry and our commands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Car {
+    run: u64,
+    tick_ns: u64,
+    start: Pose,
+    align: Align,
+    start_distance_m: f64,
+    start_heading_rad: f64,
+    standstill_mps: f64,
+    odometry_age_ns: u64,
+    command_age_ns: u64,
+    setpoints: Setpoints,
+    /// What was read last, and since when it is known.
+    newest: Option<(Reading, u64)>,
+    drive: Option<Drive>,
+    /// What the car was told last, and when.
+    told: Option<(Setpoint, u64)>,
+    due_ns: u64,
+    counts: Counts,
+}
+
+/// What was not as it should be.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Requests and commands that did not match.
+    pub dropped: u64,
+    /// Odometry and commands that were not finite.
+    pub rejected: u64,
+    /// Commands that came too late, and ticks whose odometry did.
+    pub late: u64,
+    /// Ticks whose odometry was too old to be published; part of `late`.
+    pub stale: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Drive {
+    batch: u64,
+    attempt: u32,
+    start: Pose,
+    /// When tick 0 was, and the tick that is due; none while the car is not at the start.
+    clock: Option<(u64, u64)>,
+    alignment: Alignment,
+    held: Option<Held>,
+    applied_ns: u64,
+    ended: bool,
+    collided: bool,
+    own_stop: bool,
+}
+
+/// The newest command.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Held {
+    tick: u64,
+    sent_ns: u64,
+    setpoint: Setpoint,
+}
+
+/// How a drive began: what a restarted process must know to go on with it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Begun {
+    /// The batch.
+    pub batch: u64,
+    /// The attempt at it.
+    pub attempt: u32,
+    /// Where the odometry's frame lies.
+    pub alignment: Alignment,
+}
+
+/// What is to be done now.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Step {
+    /// Odometry to be published.
+    pub odometry: Option<(TickHeader, Odometry)>,
+    /// What the car is to be told.
+    pub setpoint: Option<Setpoint>,
+    /// The drive begins with this very step.
+    pub begun: Option<Begun>,
+}
+
+/// How far the car stands off the start of the path.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Offset {
+    /// In position.
+    pub distance_m: f64,
+    /// In heading, absolute.
+    pub heading_rad: f64,
+}
+
+impl Car {
+    /// A car that nothing is known of.
+    pub fn new(config: &RunConfig, run: u64) -> Self {
+        let vehicle = &config.vehicle;
+        let ns = |s: f64| (s * 1e9).round() as u64;
+        Self {
+            run,
+            tick_ns: ns(config.drive.tick_s),
+            start: config.path.start.into(),
+            align: vehicle.ros2.align,
+            start_distance_m: vehicle.ros2.start_distance_m,
+            start_heading_rad: vehicle.ros2.start_heading_rad,
+            standstill_mps: vehicle.safety.standstill_mps,
+            odometry_age_ns: ns(vehicle.ros2.odometry_age_limit_s),
+            command_age_ns: ns(vehicle.safety.command_age_limit_s),
+            setpoints: Setpoints::new(vehicle),
+            newest: None,
+            drive: None,
+            told: None,
+            due_ns: u64::MAX,
+            counts: Counts::default(),
+        }
+    }
+
+    /// Takes odometry that has just come.
+    pub fn see(&mut self, reading: Reading, now_ns: u64) {
+        // Whoever repeats an old message does not make it younger.
+        let is_repeated = reading.stamp != Default::default()
+            && self.newest.is_some_and(|(last, _)| last.stamp == reading.stamp);
+        if !is_repeated {
+            self.newest = Some((reading, now_ns));
+        }
+    }
+
+    /// Counts odometry that cannot be used.
+    pub fn reject(&mut self) {
+        self.counts.rejected += 1;
+    }
+
+    /// Notes a collision.
+    pub fn collide(&mut self) {
+        if let Some(drive) = &mut self.drive {
+            drive.collided |= drive.clock.is_some();
+        }
+    }
+
+    /// How old the newest odometry is; nothing before the first.
+    pub fn odometry_age_ns(&self, now_ns: u64) -> Option<u64> {
+        self.newest.map(|(_, at_ns)| now_ns.saturating_sub(at_ns))
+    }
+
+    fn fresh(&self, now_ns: u64) -> Option<Reading> {
+        let (reading, at_ns) = self.newest?;
+        (now_ns.saturating_sub(at_ns) <= self.odometry_age_ns).then_some(reading)
+    }
+
+    /// How far the car is off the start, if that is known now.
+    pub fn offset(&self, now_ns: u64) -> Option<Offset> {
+        let reading = self.fresh(now_ns)?;
+        if self.align == Align::Start {
+            return Some(Offset::default());
+        }
+        let start = self.drive.map_or(self.start, |drive| drive.start);
+        Some(Offset {
+            distance_m: (reading.pose.position() - start.position()).norm(),
+            heading_rad: wrap_angle(reading.pose.yaw_rad - start.yaw_rad).abs(),
+        })
+    }
+
+    /// Whether the car stands at the start of the path.
+    pub fn is_at_start(&self, now_ns: u64) -> bool {
+        let stands = self.fresh(now_ns).is_some_and(|it| it.speed_mps.abs() <= self.standstill_mps);
+        stands
+            && self.offset(now_ns).is_some_and(|off| {
+                off.distance_m <= self.start_distance_m && off.heading_rad <= self.start_heading_rad
+            })
+    }
+
+    /// Whether a request waits for the car to be at the start.
+    pub fn is_awaited(&self) -> bool {
+        self.drive.is_some_and(|drive| drive.clock.is_none())
+    }
+
+    /// Batch and next tick of the drive.
+    pub fn progress(&self) -> (u64, u64) {
+        self.drive.map_or((0, 0), |drive| (drive.batch, drive.clock.map_or(0, |(_, next)| next)))
+    }
+
+    /// What was not as it should be.
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// When [`Car::step`] has something to do; `u64::MAX` for never.
+    pub fn due_ns(&self) -> u64 {
+        self.due_ns
+    }
+
+    /// Whether the car has been told anything.
+    pub fn has_driven(&self) -> bool {
+        self.told.is_some()
+    }
+
+    /// Takes a request for a drive, which ends whatever was under way. Whether it is one for us.
+    pub fn request(&mut self, header: BatchHeader, requests: &[DriveRequest], now_ns: u64) -> bool {
+        let [request] = requests else {
+            self.counts.dropped += 1;
+            return false;
+        };
+        if header.run != self.run {
+            self.counts.dropped += 1;
+            return false;
+        }
+        let WirePose { x_m, y_m, yaw_rad } = request.start;
+        self.drive = Some(Drive {
+            batch: header.batch,
+            attempt: header.attempt,
+            start: Pose { x_m, y_m, yaw_rad },
+            clock: None,
+            alignment: Alignment::default(),
+            held: None,
+            applied_ns: 0,
+            ended: false,
+            collided: false,
+            own_stop: false,
+        });
+        self.due_ns = now_ns;
+        true
+    }
+
+    /// Goes on with the drive of the request that was just taken: this process was restarted on the way.
+    pub fn rejoin(&mut self, begun: Begun, requested_ns: u64, now_ns: u64) {
+        let Some(drive) = &mut self.drive else { return };
+        if (drive.batch, drive.attempt) == (begun.batch, begun.attempt) {
+            drive.alignment = begun.alignment;
+            let tick = now_ns.saturating_sub(requested_ns) / self.tick_ns;
+            drive.clock = Some((requested_ns, tick));
+        }
+    }
+
+    /// Takes a command. What the car is to be told at once, if anything.
+    pub fn obey(
+        &mut self,
+        header: TickHeader,
+        commands: &[Command],
+        now_ns: u64,
+    ) -> Option<Setpoint> {
+        let matching = self.drive.as_mut().filter(|drive| {
+            (header.run, header.batch, header.attempt) == (self.run, drive.batch, drive.attempt)
+                && drive.clock.is_some()
+                && drive.held.is_none_or(|held| header.tick >= held.tick)
+        });
+        let (Some(drive), [command]) = (matching, commands) else {
+            self.counts.dropped += 1;
+            return None;
+        };
+        // Late or not: what has ended does not go on.
+        drive.ended |= has(command.flags, Command::ENDED);
+        if drive.ended {
+            return None;
+        }
+        if now_ns.saturating_sub(header.supervisor_sent_ns) > self.command_age_ns {
+            self.counts.late += 1;
+            return None;
+        }
+        let setpoint = self.setpoints.of(command).unwrap_or_else(|| {
+            self.counts.rejected += 1;
+            Setpoint::default()
+        });
+        drive.held = Some(Held { tick: header.tick, sent_ns: header.supervisor_sent_ns, setpoint });
+        drive.applied_ns = now_ns;
+        drive.own_stop = false;
+        self.told = Some((setpoint, now_ns));
+        Some(setpoint)
+    }
+
+    /// Does what is due.
+    pub fn step(&mut self, now_ns: u64) -> Step {
+        let mut step = Step::default();
+        if now_ns < self.due_ns {
+            return step;
+        }
+        let fresh = self.fresh(now_ns);
+        let at_start = self.is_at_start(now_ns);
+        let Some(mut drive) = self.drive else {
+            self.due_ns = u64::MAX;
+            return step;
+        };
+        if let (None, true, Some(reading)) = (drive.clock, at_start, fresh) {
+            drive.alignment = Alignment::new(self.align, reading.pose, drive.start);
+            drive.clock = Some((now_ns, 0));
+            let Drive { batch, attempt, alignment, .. } = drive;
+            step.begun = Some(Begun { batch, attempt, alignment });
+        }
+        match drive.clock {
+            None => {
+                // It still rolls, or has to be brought to the start: whatever it was told is over.
+                if self.told.is_some() {
+                    step.setpoint = Some(self.stop(fresh, now_ns));
+                }
+                self.due_ns = now_ns + self.tick_ns;
+            }
+            Some((since_ns, _)) => {
+                let tick = now_ns.saturating_sub(since_ns) / self.tick_ns;
+                let setpoint = self.setpoint(&mut drive, since_ns, fresh, now_ns);
+                step.setpoint = Some(setpoint);
+                match fresh {
+                    None => {
+                        self.counts.stale += 1;
+                        self.counts.late += 1;
+                    }
+                    Some(reading) => {
+                        step.odometry =
+                            Some(self.odometry(&drive, tick, reading, setpoint, now_ns));
+                    }
+                }
+                drive.clock = Some((since_ns, tick + 1));
+                self.due_ns = since_ns + (tick + 1) * self.tick_ns;
+            }
+        }
+        if let Some(setpoint) = step.setpoint {
+            self.told = Some((setpoint, now_ns));
+        }
+        self.drive = Some(drive);
+        step
+    }
+
+    /// What the car is told at a tick.
+    fn setpoint(
+        &self,
+        drive: &mut Drive,
+        since_ns: u64,
+        fresh: Option<Reading>,
+        now_ns: u64,
+    ) -> Setpoint {
+        drive.own_stop = false;
+        if drive.ended {
+            return self.stop(fresh, now_ns);
+        }
+        let is_young = |sent_ns: u64| now_ns.saturating_sub(sent_ns) <= self.command_age_ns;
+        match drive.held {
+            Some(held) if is_young(held.sent_ns) => held.setpoint,
+            // Nobody can have answered yet.
+            None if is_young(since_ns) => Setpoint::default(),
+            _ => {
+                drive.own_stop = true;
+                self.stop(fresh, now_ns)
+            }
+        }
+    }
+
+    /// The next setpoint of the car's own stop.
+    fn stop(&self, fresh: Option<Reading>, now_ns: u64) -> Setpoint {
+        match self.told {
+            Some((told, at_ns)) => {
+                let since_s = now_ns.saturating_sub(at_ns) as f64 * 1e-9;
+                self.setpoints.stop(told.speed_mps, since_s)
+            }
+            // Restarted: nobody knows what the car was told before, but it knows how fast it is.
+            None => self.setpoints.stop(fresh.map_or(0.0, |it| it.speed_mps), 0.0),
+        }
+    }
+
+    fn odometry(
+        &self,
+        drive: &Drive,
+        tick: u64,
+        reading: Reading,
+        setpoint: Setpoint,
+        now_ns: u64,
+    ) -> (TickHeader, Odometry) {
+        let Pose { x_m, y_m, yaw_rad } = drive.alignment.to_map(reading.pose);
+        let status = [
+            (drive.collided, Odometry::COLLISION),
+            (drive.ended, Odometry::ENDED),
+            (drive.own_stop, Odometry::OWN_STOP),
+        ];
+        let odometry = Odometry {
+            measured: WirePose { x_m, y_m, yaw_rad },
+            truth: WirePose::default(),
+            speed_mps: reading.speed_mps,
+            yaw_rate_radps: reading.yaw_rate_radps,
+            // The message does not tell it: what was asked for.
+            steering_rad: setpoint.steering_rad,
+            status: status.iter().filter(|(is, _)| *is).fold(0, |bits, (_, bit)| bits | bit),
+            reserved: 0,
+        };
+        let header = TickHeader {
+            run: self.run,
+            batch: drive.batch,
+            attempt: drive.attempt,
+            tick,
+            applied_ns: drive.applied_ns,
+            odometry_sent_ns: now_ns,
+            ..TickHeader::default()
+        };
+        (header, odometry)
+    }
+}
+
+#[cfg(test)]
+#[path = "car_tests.rs"]
+mod tests;

@@ -1,0 +1,70 @@
+"""A car that nobody here wrote: CommonRoad's multi-body model (29 states) of a BMW 320i.
+
+Needs the package commonroad-vehicle-models. Poses are those of the rear axle, REP-103.
+"""
+
+import math
+
+from vehiclemodels.init_mb import init_mb
+from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
+from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
+
+
+class Car:
+    """The car, with the actuators that an Ackermann command is for."""
+
+    # The stiff suspension and wheels need it.
+    STEP_S = 0.0025
+    # Proportional control of the speed, by the car's own driver.
+    SPEED_PER_S = 2.0
+    ACCELERATION_MPS2 = 3.0
+    BRAKE_MPS2 = 6.0
+
+    def __init__(self, start_x, start_y, start_yaw):
+        """Stands with its rear axle at the start."""
+        self.p = parameters_vehicle2()
+        self.cg_m = self.p.b
+        x = start_x + self.cg_m * math.cos(start_yaw)
+        y = start_y + self.cg_m * math.sin(start_yaw)
+        self._stand(x, y, 0.0, start_yaw)
+
+    def _stand(self, x, y, steering_rad, yaw):
+        # x, y, steering angle, speed, yaw, yaw rate, slip angle; of the centre of gravity.
+        self.state = init_mb([x, y, steering_rad, 0.0, yaw, 0.0, 0.0], self.p)
+
+    def step(self, dt, speed_mps, steering_rad):
+        """Drives on for so long, towards a speed and an angle of the road wheels."""
+        steps = max(1, round(dt / self.STEP_S))
+        h = dt / steps
+        for _ in range(steps):
+            acceleration = self.SPEED_PER_S * (speed_mps - self.state[3])
+            acceleration = min(max(acceleration, -self.BRAKE_MPS2), self.ACCELERATION_MPS2)
+            limit = self.p.steering.v_max
+            rate = min(max((steering_rad - self.state[2]) / h, -limit), limit)
+            self._heun(h, [rate, acceleration])
+        if speed_mps == 0.0 and abs(self.state[3]) < 0.05:
+            # The model's wheels and suspension do not survive a stop, after which it would hardly move.
+            self._stand(self.state[0], self.state[1], self.state[2], self.state[4])
+
+    def _heun(self, h, inputs):
+        first = vehicle_dynamics_mb(self.state, inputs, self.p)
+        ahead = [x + h * f for x, f in zip(self.state, first)]
+        second = vehicle_dynamics_mb(ahead, inputs, self.p)
+        self.state = [x + 0.5 * h * (f + g) for x, f, g in zip(self.state, first, second)]
+
+    def pose(self):
+        """x, y and yaw of the rear axle."""
+        x, y, yaw = self.state[0], self.state[1], self.state[4]
+        return x - self.cg_m * math.cos(yaw), y - self.cg_m * math.sin(yaw), yaw
+
+    def speeds(self):
+        """Forward and left speed of the rear axle, and the yaw rate."""
+        forward, yaw_rate = self.state[3], self.state[5]
+        if abs(forward) < 0.1:
+            # The model is kinematic there, and lets its sideways speed stand as it was.
+            return forward, 0.0, yaw_rate
+        return forward, self.state[10] - self.cg_m * yaw_rate, yaw_rate
+
+    def steering(self):
+        """Angle of the road wheels."""
+        return self.state[2]

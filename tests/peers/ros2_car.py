@@ -1,0 +1,105 @@
+"""A ROS 2 car, or somebody else who drives one.
+
+The car is CommonRoad's model, paced by the clock; it is spoken to by Cyclone DDS. What it did and was told it writes
+down, a line of JSON a step.
+"""
+
+import argparse
+import json
+import math
+import time
+
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+import ros_messages as ros
+from commonroad import Car
+
+STEP_S = 0.01
+
+
+def arguments():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--domain", type=int, required=True)
+    parser.add_argument("--log", required=True)
+    parser.add_argument("--start", default="0,0,0", help="x,y,yaw of the rear axle")
+    parser.add_argument("--odometry", default="/odom")
+    parser.add_argument("--drive", default="/drive")
+    parser.add_argument("--frame", default="odom")
+    parser.add_argument("--bare", action="store_true", help="takes AckermannDrive")
+    parser.add_argument("--point", type=float, default=0.0, help="of its odometry, ahead of the rear axle")
+    parser.add_argument("--sign", type=float, default=1.0, help="-1: a positive angle steers to the right")
+    parser.add_argument("--collision", default="", help="topic of the collisions")
+    parser.add_argument("--collides-after", type=float, default=math.inf, help="metres driven")
+    parser.add_argument("--driver", action="store_true", help="is no car, but drives one")
+    return parser.parse_args()
+
+
+def drive(participant, args):
+    writer = DataWriter(
+        participant, Topic(participant, "rt" + args.drive, ros.AckermannDriveStamped), qos=ros.qos(True)
+    )
+    with open(args.log, "w") as log:
+        print("{}", file=log)
+    while True:
+        writer.write(ros.AckermannDriveStamped())
+        time.sleep(0.02)
+
+
+def odometry(car, args):
+    x, y, yaw = car.pose()
+    forward, left, yaw_rate = car.speeds()
+    now = time.time_ns()
+    message = ros.Odometry(child_frame_id="base_link")
+    message.header = ros.Header(ros.Time(now // 10**9, now % 10**9), args.frame)
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x = x + args.point * math.cos(yaw)
+    pose.position.y = y + args.point * math.sin(yaw)
+    pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    twist.linear.x, twist.linear.y, twist.angular.z = forward, left, yaw_rate
+    return message
+
+
+def main():
+    args = arguments()
+    participant = DomainParticipant(args.domain)
+    if args.driver:
+        drive(participant, args)
+    kind = ros.AckermannDrive if args.bare else ros.AckermannDriveStamped
+    commands = DataReader(participant, Topic(participant, "rt" + args.drive, kind), qos=ros.qos(True))
+    writer = DataWriter(
+        participant, Topic(participant, "rt" + args.odometry, ros.Odometry), qos=ros.qos(False)
+    )
+    collisions = None
+    if args.collision:
+        topic = Topic(participant, "rt" + args.collision, ros.CarlaCollisionEvent)
+        collisions = DataWriter(participant, topic, qos=ros.qos(True))
+    car = Car(*(float(part) for part in args.start.split(",")))
+    start = car.pose()
+    told, heard = ros.AckermannDrive(), 0
+    due = time.monotonic()
+    with open(args.log, "w", buffering=1) as log:
+        while True:
+            # The others say that a writer is gone.
+            fresh = [sample for sample in commands.take(100) if isinstance(sample, kind)]
+            heard += len(fresh)
+            if fresh:
+                told = fresh[-1] if args.bare else fresh[-1].drive
+            car.step(STEP_S, told.speed, args.sign * told.steering_angle)
+            x, y, yaw = car.pose()
+            if collisions and math.hypot(x - start[0], y - start[1]) > args.collides_after:
+                collisions.write(ros.CarlaCollisionEvent(other_actor_id=1))
+                collisions = None
+            writer.write(odometry(car, args))
+            line = {"t_ns": time.monotonic_ns(), "x_m": x, "y_m": y, "yaw_rad": yaw}
+            line |= {"speed_mps": car.speeds()[0], "steering_rad": car.steering(), "heard": heard}
+            line |= {"told_mps": told.speed, "told_rad": told.steering_angle}
+            print(json.dumps(line), file=log)
+            due += STEP_S
+            time.sleep(max(0.0, due - time.monotonic()))
+
+
+if __name__ == "__main__":
+    main()
