@@ -30,11 +30,9 @@ mod without {
 
 #[cfg(feature = "ros2")]
 mod with {
-    use std::ffi::OsString;
     use std::fs;
     use std::path::{Path, PathBuf};
     use std::process::{Child, Command as Program, Stdio};
-    use std::sync::atomic::{AtomicU32, Ordering};
     use std::time::{Duration, Instant};
 
     use config::{Layers, RunConfig};
@@ -45,82 +43,11 @@ mod with {
     use runtime::run::{RunNames, segments_of};
     use runtime::{Attachment, Bus, Inlet, Outlet};
     use rustix::process::Signal;
+
     use serde_json::Value;
 
+    use super::support::dds::{Peer, own_domain, python};
     use super::support::{Sandbox, signal};
-
-    /// Keeps DDS on this machine, where it is found at the ports that everybody knows: loopback has no multicast.
-    const LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\"/></Interfaces>\
-        <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
-        <MaxAutoParticipantIndex>9</MaxAutoParticipantIndex><Peers><Peer Address=\"127.0.0.1\"/></Peers>\
-        </Discovery></Domain></CycloneDDS>";
-
-    /// Python with what the car is made of.
-    fn python() -> Option<OsString> {
-        let why =
-            "PATHTUNE_PYTHON names no interpreter with cyclonedds and commonroad-vehicle-models";
-        let python = std::env::var_os("PATHTUNE_PYTHON").filter(|python| {
-            let packages = ["-c", "import cyclonedds, vehiclemodels"];
-            Program::new(python).args(packages).output().is_ok_and(|it| it.status.success())
-        });
-        if python.is_none() {
-            assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
-            eprintln!("skipped: {why}");
-        }
-        python
-    }
-
-    /// A domain of its own for each test: below 100, where its ports are nobody else's.
-    fn own_domain() -> u32 {
-        static NEXT: AtomicU32 = AtomicU32::new(0);
-        1 + (std::process::id() * 10 + NEXT.fetch_add(1, Ordering::Relaxed)) % 99
-    }
-
-    struct Peer(Child, PathBuf);
-
-    impl Peer {
-        fn start(sandbox: &Sandbox, python: &OsString, domain: u32, args: &[&str]) -> Self {
-            let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/ros2_car.py");
-            let log = sandbox.path("car.log");
-            let child = Program::new(python)
-                .arg("-B")
-                .arg(script)
-                .args(["--domain", &domain.to_string(), "--log"])
-                .arg(&log)
-                .args(args)
-                .env("CYCLONEDDS_URI", LOOPBACK)
-                .stdin(Stdio::null())
-                .spawn()
-                .unwrap();
-            Self(child, log)
-        }
-
-        /// What the car wrote down.
-        fn log(&self) -> Vec<Value> {
-            let text = fs::read_to_string(&self.1).unwrap_or_default();
-            // The last line may be half written.
-            text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
-        }
-
-        fn wait_until_it_lives(&self) {
-            let until = Instant::now() + Duration::from_secs(20);
-            while self.log().is_empty() {
-                assert!(Instant::now() < until, "the peer does not start");
-                std::thread::sleep(Duration::from_millis(20));
-            }
-        }
-
-        fn last(&self, key: &str) -> f64 {
-            self.log().last().unwrap()[key].as_f64().unwrap()
-        }
-    }
-
-    impl Drop for Peer {
-        fn drop(&mut self) {
-            let _ = self.0.kill();
-            let _ = self.0.wait();
-        }
-    }
 
     /// The rest of the ring.
     struct Ring {
@@ -539,5 +466,47 @@ mod with {
         let told = ring.stop();
         assert!(told.contains("collision"), "{told}");
         sandbox.assert_clean();
+    }
+
+    /// The whole pipeline behind the adapter, and in front of it a car that nobody here wrote.
+    fn drive_whole(maneuver: &str, seconds: u32) {
+        let Some(python) = python() else { return };
+        let (sandbox, domain) = (Sandbox::new(), own_domain());
+        let time = format!("drive.loop_time_s={seconds}");
+        let simulated =
+            ["drive", maneuver, "--vehicle", "tesla_model_3_guarded", "--set", &time, "--set"];
+        let simulated =
+            sandbox.json("simulated", &[&simulated[..], &["vehicle.gear_engaged=true"]].concat());
+        let car = Peer::start(&sandbox, &python, domain, &["--start", "0,0,0.3"]);
+        let set = format!("vehicle.ros2.domain_id={domain}");
+        let args = ["drive", maneuver, "--adapter", "ros2-vehicle", "--vehicle", "ackermann"];
+        let more = ["--set", &set, "--set", "vehicle.ros2.network=\"127.0.0.1\"", "--set", &time];
+        // Discovery over loopback may take longer than a car in a laboratory would.
+        let driven = sandbox.json("driven", &[&args[..], &more].concat());
+        let off = |result: &Value| result["max_cross_track_m"].as_f64().unwrap();
+        println!(
+            "{maneuver}: at most {:.3} m off the path by the multi-body car over DDS, {:.3} m by our simulator; mse {} and {}; it drove {:.1} m",
+            off(&driven),
+            off(&simulated),
+            driven["mse_m2"],
+            simulated["mse_m2"],
+            car.last("x_m").hypot(car.last("y_m")),
+        );
+        assert_ne!(driven["reason"], "collision");
+        assert_eq!(driven["true_poses"], false);
+        // It went along the path, within the lane and the one beside it.
+        assert!(off(&driven) < 1.75, "{driven}");
+        assert!(car.last("x_m").hypot(car.last("y_m")) > 2.0, "it did not go");
+        sandbox.assert_clean();
+    }
+
+    #[test]
+    fn the_pipeline_drives_it_through_a_lane_change() {
+        drive_whole("lane_change", 8);
+    }
+
+    #[test]
+    fn the_pipeline_drives_it_through_a_roundabout() {
+        drive_whole("roundabout", 20);
     }
 }

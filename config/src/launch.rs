@@ -180,6 +180,25 @@ impl Launch {
         }
     }
 
+    /// Puts another service of ours in a role, whatever fills it.
+    ///
+    /// # Errors
+    /// If there is no such service for the role.
+    pub fn fill(&mut self, role: Role, service: &str) -> Result<(), ConfigError> {
+        if !role.own_services().contains(&service) {
+            let known = role.own_services().join(", ");
+            let problem = format!("no service of ours; there are {known}");
+            return Err(ConfigError::new(service, role.name(), problem));
+        }
+        for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
+            entry.command = None;
+            entry.service = Some(service.to_owned());
+            // Only our simulator repeats itself.
+            entry.deterministic = (service != "simulator").then_some(false);
+        }
+        Ok(())
+    }
+
     /// Puts a command in a role, from `ROLE=COMMAND`.
     ///
     /// # Errors

@@ -165,6 +165,7 @@ pub struct ValidateArgs {
   pathtune drive lane_change --realtime
   pathtune drive circuit --realtime --gains 3,21,21,0.7/3.4,21,1,0.84
   pathtune drive lane_change --realtime --from runs/mine
+  pathtune drive lane_change --adapter ros2-vehicle --vehicle my_car.toml
   pathtune drive --path slalom.csv --gains 3,21,21,0.7 --realtime --replace vehicle='python3 my_car.py'")]
 pub struct DriveArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
@@ -181,6 +182,9 @@ pub struct DriveArgs {
     /// Put noise on the odometry of our simulator
     #[arg(long)]
     pub noise: bool,
+    /// One of our adapters instead of the simulator: ros2-vehicle; implies --realtime
+    #[arg(long, value_name = "SERVICE", conflicts_with = "replace")]
+    pub adapter: Option<String>,
     /// What every run can be told.
     #[command(flatten)]
     pub setup: SetupArgs,

@@ -21,7 +21,7 @@ pub fn drive(args: &DriveArgs) -> Result<Ended, Failure> {
     if args.noise {
         layers.put("--noise", "noise.enabled", true)?;
     }
-    if args.realtime {
+    if args.realtime || args.adapter.is_some() {
         layers.put("--realtime", "run.realtime", true)?;
     }
     let mut config = layers.resolve()?;
@@ -30,7 +30,7 @@ pub fn drive(args: &DriveArgs) -> Result<Ended, Failure> {
     let realtime = config.run.realtime;
     let plan = SweepPlan { kind: SweepKind::Drive, repeats: 0, realtime, sets: vec![set] };
     let name = format!("drive-{}", config.maneuver);
-    sweep(&args.setup, config, plan, &name, "drive", tables::print_drive)
+    sweep(&args.setup, args.adapter.as_deref(), config, plan, &name, "drive", tables::print_drive)
 }
 
 /// The gains to drive with: named ones, those of trainings, or the paper's.

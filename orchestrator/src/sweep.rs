@@ -1,6 +1,7 @@
 //! `pathtune validate` and `pathtune grid`: lists of drives through the pipeline, and their tables.
 
 use anyhow::Context;
+use config::launch::Role;
 use config::{Gains, MAX_FLEET, RunConfig, SweepKind, SweepPlan};
 use serde_json::Value;
 
@@ -32,7 +33,7 @@ pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
     let plan =
         SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, realtime: false, sets };
     let name = format!("validate-{}", config.maneuver);
-    sweep(&args.setup, config, plan, &name, "validate", tables::print_validation)
+    sweep(&args.setup, None, config, plan, &name, "validate", tables::print_validation)
 }
 
 /// Drives every gain set of the grid without noise.
@@ -54,7 +55,7 @@ pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
     fill_fleet(&mut config, &args.setup, drives);
     let plan = SweepPlan { kind: SweepKind::Grid, repeats: 0, realtime: false, sets };
     let name = format!("grid-{}", config.maneuver);
-    sweep(&args.setup, config, plan, &name, "grid", tables::print_grid)
+    sweep(&args.setup, None, config, plan, &name, "grid", tables::print_grid)
 }
 
 /// A fleet in which as many drives as possible are made at once, unless the user wants another.
@@ -81,15 +82,21 @@ pub(crate) fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec
         .collect()
 }
 
+/// Drives a list, and prints what it comes to. `vehicle` is one of our services in the vehicle's role, if it is not to
+/// be the usual one.
 pub(crate) fn sweep(
     args: &SetupArgs,
+    vehicle: Option<&str>,
     config: RunConfig,
     plan: SweepPlan,
     name: &str,
     kind: &str,
     print: fn(&RunConfig, &Value) -> Result<(), Failure>,
 ) -> Result<Ended, Failure> {
-    let launch = setup::launch(args, Some("schedule"))?;
+    let mut launch = setup::launch(args, Some("schedule"))?;
+    if let Some(service) = vehicle {
+        launch.fill(Role::Vehicle, service)?;
+    }
     let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(name))?;
     let facts = run_or_unmake(&ready, true)?;
     let plan = &ready.plan;
