@@ -57,6 +57,7 @@ fn main() -> ExitCode {
         Command::Clean { dry_run } => orchestrator::clean(dry_run),
         Command::Doctor { json } => orchestrator::doctor(json),
         Command::Config(command) => orchestrator::show_config(&command),
+        Command::Schema(args) => orchestrator::print_schema(&args),
         Command::Service { service } => serve(service).map_err(Failure::from),
     };
     match result {

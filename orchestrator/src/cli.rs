@@ -74,6 +74,8 @@ pub enum Command {
     /// Show or write the presets
     #[command(subcommand)]
     Config(ConfigCommand),
+    /// Print the messages and topics for a process in another language
+    Schema(SchemaArgs),
     /// A process of a pipeline; started by the orchestrator, not by hand
     #[command(hide = true)]
     Service {
@@ -370,6 +372,21 @@ pub enum TunerArg {
     EducatedQ,
     /// Plain Q-learning
     Q,
+}
+
+/// In which language.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+#[command(after_help = "Examples:
+  pathtune schema --python > pathtune_messages.py
+  pathtune schema --c > pathtune_messages.h")]
+pub struct SchemaArgs {
+    /// A Python module of ctypes structures
+    #[arg(long)]
+    pub python: bool,
+    /// A C header
+    #[arg(long)]
+    pub c: bool,
 }
 
 /// What to do with the presets.

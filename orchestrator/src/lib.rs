@@ -31,7 +31,7 @@ mod train;
 pub use bench::bench;
 pub use failure::Failure;
 pub use housekeeping::{LivingRun, clean, doctor, living_run, logs, status, stop};
-pub use presets::show_config;
+pub use presets::{print_schema, show_config};
 pub use replay::{replay, replay_config};
 pub use setup::{Ended, name_files};
 pub use sweep::{grid, validate};
