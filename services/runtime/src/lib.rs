@@ -17,4 +17,4 @@ mod serve;
 
 pub use attachment::Attachment;
 pub use bus::{Alarm, Bus, BusError, Inlet, Outlet, Received};
-pub use serve::{Counters, Service, Waiting, join, serve};
+pub use serve::{Counters, NAP, Service, Waiting, join, serve};

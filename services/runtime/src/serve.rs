@@ -45,6 +45,11 @@ pub trait Service {
     /// What the process tells of itself with each sign of life.
     fn status(&self) -> Counters;
 
+    /// How long the process may sleep at most, if nobody wakes it: until its next deadline.
+    fn nap(&self) -> Duration {
+        NAP
+    }
+
     /// Whether the work is done and the process may end.
     fn is_finished(&self) -> bool {
         false
@@ -74,7 +79,7 @@ pub struct Counters {
 /// are over within `SLEEPS_AFTER_NS`.
 const YIELDS: u32 = 64;
 /// Longest sleep: bounds what a lost wake-up could cost.
-const NAP: Duration = Duration::from_millis(20);
+pub const NAP: Duration = Duration::from_millis(20);
 /// Between signs of life; a fifth of the orchestrator's patience.
 const BEAT_NS: u64 = 100_000_000;
 /// Polls between looks at the clock and for new readers.
@@ -118,7 +123,7 @@ pub fn serve(
             yield_now();
         } else if waiting.may_sleep() {
             bus.look_for_readers();
-            alarm.wait(NAP);
+            alarm.wait(service.nap());
             look = true;
         } else {
             yield_now();
