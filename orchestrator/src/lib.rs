@@ -7,6 +7,7 @@
 
 mod bench;
 pub mod cli;
+mod conformance;
 mod cores;
 mod failure;
 mod housekeeping;
@@ -29,6 +30,7 @@ mod terminal;
 mod train;
 
 pub use bench::bench;
+pub use conformance::conformance;
 pub use failure::Failure;
 pub use housekeeping::{LivingRun, clean, doctor, living_run, logs, status, stop};
 pub use presets::{print_schema, show_config};
