@@ -161,6 +161,8 @@ fn leftovers(stand: &Stand, pid: u32) -> Vec<String> {
     segments_of(names.run)
         .into_iter()
         .chain(nodes)
-        .filter(|name| runtime::cleanup::carries_pid(name, pid) && !name.ends_with(".dynamic"))
+        .filter(|name| runtime::cleanup::carries_pid(name, pid))
+        // Shared with those at the other end, who still live.
+        .filter(|name| !name.ends_with(".dynamic") && !name.ends_with(".connection"))
         .collect()
 }

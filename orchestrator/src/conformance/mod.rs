@@ -16,6 +16,8 @@ use std::fs::{self, File};
 use std::path::Path;
 
 use anyhow::Context;
+use comfy_table::Table;
+use comfy_table::presets::NOTHING;
 use config::launch::{Launch, Role};
 use config::{Layers, RunConfig};
 use ipc_types::Status;
@@ -26,7 +28,6 @@ use serde_json::json;
 use crate::cli::ConformanceArgs;
 use crate::pipeline::Interrupts;
 use crate::process::last_lines;
-use crate::tables::table_of;
 use crate::terminal::say;
 use crate::{Failure, preflight};
 use checks::{Findings, Verdict};
@@ -87,7 +88,8 @@ fn examine(args: &ConformanceArgs, stand: &mut Stand, to: &mut Findings) -> Resu
     }
     // A car of its own pace is taken as what it says it is.
     let wanted = stand.realtime;
-    stand.realtime |= ipc_types::has(stand.told().pacing, Status::REAL_TIME);
+    let says_so = ipc_types::has(stand.told().pacing, Status::REAL_TIME);
+    stand.realtime |= says_so;
     to.note(
         "pacing",
         stand.told().pacing & !3 == 0
@@ -148,6 +150,9 @@ fn resolve(args: &ConformanceArgs) -> Result<RunConfig, Failure> {
     Ok(layers.resolve()?)
 }
 
+/// Characters of what was seen that a row shows; of a failure, all of it is told below.
+const SEEN_WIDTH: usize = 60;
+
 /// Prints what was found; whether nothing failed.
 fn tell(args: &ConformanceArgs, findings: &Findings, folder: &Path) -> Result<bool, Failure> {
     let count = |verdict| findings.rows().filter(|(_, it, _)| *it == verdict).count();
@@ -170,14 +175,16 @@ fn tell(args: &ConformanceArgs, findings: &Findings, folder: &Path) -> Result<bo
         say!("{}", serde_json::to_string_pretty(&told).context("the findings")?);
         return Ok(failed == 0);
     }
-    let mut table = table_of(&[]);
+    let mut table = Table::new();
+    table.load_style(NOTHING).set_header(["", "check", "what", "seen"]);
     for (check, verdict, seen) in findings.rows() {
         let word = match verdict {
             Verdict::Pass => "pass",
             Verdict::Fail => "FAIL",
             Verdict::Skipped => "skipped",
         };
-        table.add_row([word, check.id, check.name, seen]);
+        let short: String = seen.chars().take(SEEN_WIDTH).collect();
+        table.add_row([word, check.id, check.name, &short]);
     }
     say!("{table}");
     for (check, _, seen) in findings.rows().filter(|(_, verdict, _)| *verdict == Verdict::Fail) {

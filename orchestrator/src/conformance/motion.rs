@@ -11,6 +11,8 @@ use crate::Failure;
 /// Slow enough for a yard.
 const SPEED_MPS: f64 = 1.5;
 const LEFT_RAD: f64 = 0.2;
+/// Slower than this it has stopped, as far as a controller with an integral part ever does.
+const CREEPS_MPS: f64 = 0.1;
 /// A gear takes seconds to engage.
 const PATIENCE_S: f64 = 10.0;
 
@@ -41,9 +43,9 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
     let seen = format!("{widest_rad:.3} rad, where {limit_rad:.3} is the limit");
     to.note("steering_limit", widest_rad <= limit_rad + 0.01, seen);
     let standing =
-        until(stand, last_of(sharp), to_drive(0.0, 0.0), |it| it.speed_mps.abs() <= STANDS_MPS)?;
+        until(stand, last_of(sharp), to_drive(0.0, 0.0), |it| it.speed_mps.abs() <= CREEPS_MPS)?;
     let speed_mps = standing.first().speed_mps;
-    if to.note("stops", speed_mps.abs() <= STANDS_MPS, format!("{speed_mps:.3} m/s")) {
+    if to.note("stops", speed_mps.abs() <= CREEPS_MPS, format!("{speed_mps:.3} m/s")) {
         let backwards = drive(stand, standing, 1.0, to_drive(-1.0, 0.0))?;
         let least_mps =
             backwards.iter().map(|seen| seen.first().speed_mps).fold(f64::MAX, f64::min);
