@@ -76,8 +76,10 @@ pub(super) fn restarts(stand: &mut Stand, to: &mut Findings) -> Result<(), Failu
         to.note("joins", false, "no odometry");
         return Ok(());
     };
-    let (tick, expected) =
-        (first.header.tick, if stand.realtime { by_time(stand, first.heard_ns) } else { 0 });
+    let (tick, expected) = (
+        first.header.tick,
+        if stand.realtime { by_time(stand, first.header.odometry_sent_ns) } else { 0 },
+    );
     let near = if stand.realtime { 5 } else { 0 };
     let seen = format!("attempt {}, tick {tick}, where {expected} is due", first.header.attempt);
     to.note("joins", tick.abs_diff(expected) <= near, seen);
@@ -87,7 +89,7 @@ pub(super) fn restarts(stand: &mut Stand, to: &mut Findings) -> Result<(), Failu
 /// The tick that is due at a time, in a drive that is joined.
 fn by_time(stand: &Stand, now_ns: u64) -> u64 {
     let tick_ns = stand.config.drive.tick_s * 1e9;
-    ((now_ns - stand.header.sent_ns) as f64 / tick_ns) as u64
+    (now_ns.saturating_sub(stand.header.sent_ns) as f64 / tick_ns) as u64
 }
 
 fn since_beat(stand: &Stand) -> u64 {

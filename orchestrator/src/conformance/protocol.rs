@@ -111,10 +111,11 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
     fleet(stand, to)
 }
 
-/// A header and a number of elements that are not as they should be.
-type Spoil = fn(TickHeader) -> (TickHeader, usize);
+/// Makes of a good header one that is not as it should be, with a number of elements.
+pub(super) type Spoil = fn(TickHeader) -> (TickHeader, usize);
 
-const SPOILT: [(&str, Spoil); 7] = [
+/// Commands for a drive of one slot that are not to be obeyed.
+pub(super) const SPOILT: [(&str, Spoil); 7] = [
     ("drops_run", |header| (TickHeader { run: header.run ^ 2, ..header }, 1)),
     ("drops_batch", |header| (TickHeader { batch: header.batch - 1, ..header }, 1)),
     ("drops_attempt", |header| (TickHeader { attempt: header.attempt + 1, ..header }, 1)),

@@ -6,8 +6,8 @@ use ipc_types::{Command, Odometry, TickHeader};
 
 use super::checks::Findings;
 use super::motion::{to_drive, until_it_moves};
-use super::protocol::{self, STANDS_MPS};
-use super::stand::{Seen, Stand};
+use super::protocol::{self, SPOILT, STANDS_MPS};
+use super::stand::{ANSWER, Seen, Stand};
 use crate::Failure;
 
 /// What does not move the vehicle.
@@ -21,39 +21,79 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
     protocol::fleet(stand, to)
 }
 
+/// A machine that is busy with other things makes a right vehicle late; a wrong one is wrong each time.
+const TRIES: u32 = 5;
+
 /// Rate, regularity, and ticks that follow the clock.
 fn paces(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
-    let Some(first) = stand.begin(1, 0)? else { return Ok(()) };
-    let seen = stand.drive(first, stand.ticks_of(2.0), |_| Command::default())?;
-    let tick_ns = stand.config.drive.tick_s * 1e9;
-    let (from, last) = (&seen[0], &seen[seen.len() - 1]);
-    let since = |seen: &Seen| {
-        seen.header.odometry_sent_ns.saturating_sub(from.header.odometry_sent_ns) as f64 / tick_ns
-    };
-    let due = since(last);
-    let share = (seen.len() - 1) as f64 / due.max(1.0);
-    let text = format!("{} in {due:.1} ticks", seen.len() - 1);
-    if !to.note("rate", seen.len() > 5 && (0.8..1.2).contains(&share), text) {
-        return Ok(());
+    for left in (0..TRIES).rev() {
+        let Some(first) = stand.begin(1, 0)? else { return Ok(()) };
+        let seen = stand.drive(first, stand.ticks_of(2.0), |_| Command::default())?;
+        let pace = Pace::new(stand, &seen);
+        if pace.is_good() || left == 0 {
+            pace.note(to);
+            break;
+        }
     }
-    let mut gaps: Vec<f64> =
-        seen.windows(2).map(|pair| since(&pair[1]) - since(&pair[0])).collect();
-    gaps.sort_by(f64::total_cmp);
-    let (middle, high) = (gaps[gaps.len() / 2], gaps[gaps.len() * 9 / 10]);
-    to.note(
-        "jitter",
-        high < 2.5,
-        format!("gaps: half below {middle:.2}, nine of ten below {high:.2} ticks"),
-    );
-    let falls = seen.windows(2).find(|pair| pair[1].header.tick <= pair[0].header.tick);
-    let text = falls.map_or("rising".to_owned(), |pair| {
-        format!("{} behind {}", pair[1].header.tick, pair[0].header.tick)
-    });
-    to.note("ticks", falls.is_none(), text);
-    let off = |seen: &Seen| (seen.header.tick as f64 - from.header.tick as f64 - since(seen)).abs();
-    let most = seen.iter().map(off).fold(0.0, f64::max);
-    to.note("tick_by_time", most <= 3.0, format!("at most {most:.1} ticks off"));
     Ok(())
+}
+
+/// How a vehicle paced, in ticks.
+struct Pace {
+    heard: usize,
+    due: f64,
+    gaps: Vec<f64>,
+    falls: Option<String>,
+    most_off: f64,
+}
+
+impl Pace {
+    fn new(stand: &Stand, seen: &[Seen]) -> Self {
+        let tick_ns = stand.config.drive.tick_s * 1e9;
+        let from = &seen[0].header;
+        let since = |seen: &Seen| {
+            seen.header.odometry_sent_ns.saturating_sub(from.odometry_sent_ns) as f64 / tick_ns
+        };
+        let mut gaps: Vec<f64> =
+            seen.windows(2).map(|pair| since(&pair[1]) - since(&pair[0])).collect();
+        gaps.sort_by(f64::total_cmp);
+        let falls = seen.windows(2).find(|pair| pair[1].header.tick <= pair[0].header.tick);
+        let off = |seen: &Seen| (seen.header.tick as f64 - from.tick as f64 - since(seen)).abs();
+        Self {
+            heard: seen.len() - 1,
+            due: since(&seen[seen.len() - 1]),
+            falls: falls
+                .map(|pair| format!("{} behind {}", pair[1].header.tick, pair[0].header.tick)),
+            most_off: seen.iter().map(off).fold(0.0, f64::max),
+            gaps,
+        }
+    }
+
+    fn keeps_rate(&self) -> bool {
+        self.heard > 5 && (0.8..1.2).contains(&(self.heard as f64 / self.due.max(1.0)))
+    }
+
+    /// Nine of ten gaps are below this.
+    fn wide_gap(&self) -> f64 {
+        self.gaps.get(self.gaps.len() * 9 / 10).copied().unwrap_or(f64::INFINITY)
+    }
+
+    fn is_good(&self) -> bool {
+        self.keeps_rate() && self.wide_gap() < 2.5 && self.falls.is_none() && self.most_off <= 3.0
+    }
+
+    fn note(&self, to: &mut Findings) {
+        let seen = format!("{} in {:.1} ticks", self.heard, self.due);
+        if !to.note("rate", self.keeps_rate(), seen) {
+            return;
+        }
+        let wide = self.wide_gap();
+        to.note("jitter", wide < 2.5, format!("nine of ten gaps below {wide:.2} ticks"));
+        let seen = self.falls.clone().unwrap_or("rising".to_owned());
+        to.note("ticks", self.falls.is_none(), seen);
+        let seen = format!("at most {:.1} ticks off", self.most_off);
+        to.note("tick_by_time", self.most_off <= 3.0, seen);
+    }
 }
 
 /// No command: the own stop is told. The newest odometry then.
@@ -85,29 +125,22 @@ fn goes_stale(stand: &mut Stand, to: &mut Findings) -> Result<Option<Seen>, Fail
 fn after_silence(stand: &mut Stand) -> Result<Option<Seen>, Failure> {
     let limit_s = stand.config.vehicle.safety.command_age_limit_s;
     stand.pass(Duration::from_secs_f64(limit_s) + 10 * stand.tick())?;
-    let newest = stand.heard.pop_back();
     stand.heard.clear();
-    Ok(newest)
+    stand.next(ANSWER)
 }
 
 /// Commands that are not its own end no own stop; a fresh one of its own does.
 fn drops(stand: &mut Stand, to: &mut Findings, mut newest: Seen) -> Result<(), Failure> {
     let dropped_before = stand.told().dropped;
     let mut dropped = 0;
-    let spoilt: [(&'static str, fn(TickHeader) -> TickHeader, usize); 4] = [
-        ("drops_run", |header| TickHeader { run: header.run ^ 2, ..header }, 1),
-        ("drops_batch", |header| TickHeader { batch: header.batch - 1, ..header }, 1),
-        ("drops_attempt", |header| TickHeader { attempt: header.attempt + 1, ..header }, 1),
-        ("drops_length", |header| header, 2),
-    ];
-    for (id, spoil, elements) in spoilt {
+    // What a stale tick is cannot be seen here: the newest command counts, whatever tick it answers.
+    let spoilt = SPOILT.iter().filter(|(id, _)| !id.ends_with("_tick"));
+    for (id, spoil) in spoilt {
         let mut holds = true;
         for _ in 0..5 {
-            stand.send_commands(
-                spoil(stand.answer_to(newest.header)),
-                &vec![Command::default(); elements],
-            )?;
-            let Some(next) = stand.next(Duration::from_millis(200))? else { return Ok(()) };
+            let (header, elements) = spoil(stand.answer_to(newest.header));
+            stand.send_commands(header, &vec![Command::default(); elements])?;
+            let Some(next) = stand.next(ANSWER)? else { return Ok(()) };
             holds &= next.has(Odometry::OWN_STOP);
             newest = next;
         }
@@ -132,7 +165,8 @@ fn drops(stand: &mut Stand, to: &mut Findings, mut newest: Seen) -> Result<(), F
     let old = TickHeader { supervisor_sent_ns: header.supervisor_sent_ns - age_ns, ..header };
     stand.send_commands(old, &[Command::default()])?;
     stand.pass(3 * stand.tick())?;
-    let stays = stand.heard.back().is_some_and(|seen| seen.has(Odometry::OWN_STOP));
+    stand.heard.clear();
+    let stays = stand.next(ANSWER)?.is_some_and(|seen| seen.has(Odometry::OWN_STOP));
     let (rose, count) = stand.wait_for_count(late_before, |told| told.late)?;
     to.note("counts_late", rose && stays, format!("counted {count}, the own stop stays: {stays}"));
 
@@ -151,7 +185,7 @@ fn ends(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     let is_told = seen[seen.len() - 1].has(Odometry::ENDED);
     to.note("ended_flag", is_told, if is_told { "ENDED is told" } else { "ENDED is not told" });
     stand.heard.clear();
-    let goes_on = stand.next(Duration::from_millis(500))?.is_some();
+    let goes_on = stand.next(ANSWER)?.is_some();
     to.note("goes_on", goes_on, if goes_on { "publishes on" } else { "silent behind ENDED" });
     Ok(())
 }
