@@ -2,7 +2,6 @@
 
 mod support;
 
-use std::collections::BTreeSet;
 use std::process::Command as Program;
 use std::time::Duration;
 
@@ -15,24 +14,8 @@ use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use serde_json::Value;
 use simulator::SimulatedVehicle;
 use support::Sandbox;
+use support::conformance::{FAULT, breaks, failed};
 use tracking::Pose;
-
-/// Says to the broken vehicle what is broken.
-const FAULT: &str = "PATHTUNE_TEST_FAULT";
-
-/// What a run of the checks has found: the exit code, and the ids of those that failed.
-fn failed(sandbox: &Sandbox, fault: &str, args: &[&str]) -> (Option<i32>, BTreeSet<String>, Value) {
-    let all = [&["conformance", "--json", "--allow-motion"], args].concat();
-    let output = sandbox.command(&all).env(FAULT, fault).output().unwrap();
-    let found: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
-        panic!("{fault}: {error}: {}", String::from_utf8_lossy(&output.stderr))
-    });
-    let checks = found["checks"].as_array().unwrap();
-    assert!(checks.len() >= 30);
-    let failed = checks.iter().filter(|check| check["verdict"] == "fail");
-    let ids = failed.map(|check| check["id"].as_str().unwrap().to_owned()).collect();
-    (output.status.code(), ids, found)
-}
 
 #[test]
 fn our_simulator_passes_and_leaves_nothing() {
@@ -76,31 +59,6 @@ fn a_user_s_mistake_is_told_in_a_line() {
     let (code, ids, _) = failed(&sandbox, "", &["--", "true"]);
     assert_eq!((code, ids.contains("ready")), (Some(1), true));
     sandbox.assert_clean();
-}
-
-/// Runs the broken vehicle: it must fail `must`, and may fail `may` in its train.
-fn breaks(cases: &[(&str, &str, &[&str])]) {
-    for (fault, must, may) in cases {
-        let sandbox = Sandbox::new();
-        let exe = std::env::current_exe().unwrap();
-        let vehicle =
-            ["--", exe.to_str().unwrap(), "--exact", "broken_vehicle", "--ignored", "--nocapture"];
-        let args = if *fault == "unsteady" {
-            [&["--deterministic"], &vehicle[..]].concat()
-        } else {
-            vehicle.to_vec()
-        };
-        let (code, ids, found) = failed(&sandbox, fault, &args);
-        let unrelated: Vec<_> =
-            ids.iter().filter(|id| id != must && !may.contains(&id.as_str())).collect();
-        if must.is_empty() {
-            assert!(ids.is_empty() && code == Some(0), "{fault}: {found:#}");
-        } else {
-            assert!(ids.contains(*must) && code == Some(1), "{fault} must fail {must}: {found:#}");
-        }
-        assert!(unrelated.is_empty(), "{fault} fails {unrelated:?}: {found:#}");
-        sandbox.assert_clean();
-    }
 }
 
 #[test]

@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 import tomllib
+from types import SimpleNamespace
 
 import iceoryx2 as iox2
 
@@ -28,6 +29,13 @@ def give_up(why):
     sys.exit(64)
 
 
+def named(value):
+    """Tables as objects: `config.vehicle.wheelbase_m`."""
+    if isinstance(value, dict):
+        return SimpleNamespace(**{key: named(it) for key, it in value.items()})
+    return value
+
+
 class Run:
     """The run that the environment names."""
 
@@ -39,7 +47,7 @@ class Run:
         self.incarnation = int(env["PATHTUNE_INCARNATION"])
         self.max_len = int(env["PATHTUNE_MAX_LEN"])
         with open(os.path.join(env["PATHTUNE_FOLDER"], "config.toml"), "rb") as file:
-            self.config = tomllib.load(file)
+            self.config = named(tomllib.load(file))
 
         config = iox2.config.default()
         config.global_cfg.root_path = iox2.Path.new(env["PATHTUNE_ROOT"])

@@ -9,7 +9,7 @@ vehicle does" in ipc_types/CONTRACT.md.
 
 import random
 import sys
-from math import cos, exp, isfinite, sin, tan
+from math import cos, exp, inf, isfinite, sin, tan
 
 from pathtune_bus import Inlet, Outlet, Run, give_up, now_ns, serve
 from pathtune_messages import Command, Credit, DriveRequest, Odometry, Status, TickHeader
@@ -17,55 +17,58 @@ from pathtune_messages import Command, Credit, DriveRequest, Odometry, Status, T
 CAPACITY = 256
 
 
+def clamp(value, low, high):
+    # Faster than min and max, and this is asked ten million times in a training.
+    return low if value < low else high if value > high else value
+
+
 class Car:
     """The plant. Its state is that of the rear axle; what is told is the tracked point ahead of it."""
 
     def __init__(self, config, request, odometry):
         """Stands at the request's start, at rest, its noise started afresh; fills `odometry` when it is observed."""
-        self.kind, self.noise, self.odometry = config["vehicle"], config["noise"], odometry
-        self.tick_s = config["drive"]["tick_s"]
-        self.pedal_share = 1.0 - exp(-self.tick_s / self.kind["pedal_lag_s"])
-        start, ahead_m = request.start, self.kind["tracked_point_m"]
+        self.kind, self.noise, self.odometry = config.vehicle, config.noise, odometry
+        self.tick_s = config.drive.tick_s
+        self.pedal_share = 1.0 - exp(-self.tick_s / self.kind.pedal_lag_s)
+        start, ahead_m = request.start, self.kind.tracked_point_m
         self.x_m = start.x_m - ahead_m * cos(start.yaw_rad)
         self.y_m = start.y_m - ahead_m * sin(start.yaw_rad)
         self.yaw_rad = start.yaw_rad
         self.speed = self.yaw_rate = self.steering = 0.0
         self.integral = self.throttle = self.brake = 0.0
-        self.engaged, self.in_reverse = self.kind["gear_engaged"], False
+        self.engaged, self.in_reverse = self.kind.gear_engaged, False
         self.gear_wait, self.gear_tick = None, 0  # ticks until drive engages, once it was asked for
         self.random = random.Random(request.seed) if request.flags & DriveRequest.NOISE else None
 
     def step(self, speed_mps, steering_rad):
         """Drives one tick: forward speed, and angle of the road wheels."""
         kind, tick_s = self.kind, self.tick_s
-        command = min(speed_mps, kind["speed_limit_mps"])
+        command = clamp(speed_mps, -inf, kind.speed_limit_mps)
         if not self.engaged:
             self.select_gear(command)
         error = command - self.speed
-        integral = self.integral + kind["speed_ki"] * error * tick_s
-        self.integral = min(max(integral, kind["speed_integral_min"]), kind["speed_integral_max"])
-        pedals = min(max(kind["speed_kp"] * error + self.integral, -1.0), 1.0)
-        if command < 0.0:
-            pedals = min(pedals, 0.0)  # a negative speed only brakes
-        self.throttle += self.pedal_share * (max(pedals, 0.0) - self.throttle)
-        self.brake += self.pedal_share * (max(-pedals, 0.0) - self.brake)
-        accel = -kind["drag_per_s"] * self.speed - kind["brake_decel_mps2"] * self.brake
+        integral = self.integral + kind.speed_ki * error * tick_s
+        self.integral = clamp(integral, kind.speed_integral_min, kind.speed_integral_max)
+        most = 1.0 if command >= 0.0 else 0.0  # a negative speed only brakes
+        pedals = clamp(kind.speed_kp * error + self.integral, -1.0, most)
+        self.throttle += self.pedal_share * ((pedals if pedals > 0.0 else 0.0) - self.throttle)
+        self.brake += self.pedal_share * ((-pedals if pedals < 0.0 else 0.0) - self.brake)
+        accel = -kind.drag_per_s * self.speed - kind.brake_decel_mps2 * self.brake
         if self.engaged:
-            accel += kind["throttle_accel_mps2"] * self.throttle
-        self.roll(max(self.speed + (accel - kind["rolling_decel_mps2"]) * tick_s, 0.0), steering_rad)
+            accel += kind.throttle_accel_mps2 * self.throttle
+        self.roll(max(self.speed + (accel - kind.rolling_decel_mps2) * tick_s, 0.0), steering_rad)
 
     def stop(self):
         """One tick of the vehicle's own stop: wheels straight, speed down."""
         self.integral = self.throttle = self.brake = 0.0
-        self.roll(max(self.speed - self.kind["safety"]["stop_deceleration_mps2"] * self.tick_s, 0.0), 0.0)
+        self.roll(max(self.speed - self.kind.safety.stop_deceleration_mps2 * self.tick_s, 0.0), 0.0)
 
     def roll(self, speed_mps, steering_rad):
         kind, tick_s = self.kind, self.tick_s
-        limit, reach = kind["steering_limit_rad"], kind["steering_rate_radps"] * tick_s
-        wanted = min(max(steering_rad, -limit), limit) - self.steering
-        self.steering += min(max(wanted, -reach), reach)
+        limit, reach = kind.steering_limit_rad, kind.steering_rate_radps * tick_s
+        self.steering += clamp(clamp(steering_rad, -limit, limit) - self.steering, -reach, reach)
         self.speed = speed_mps
-        self.yaw_rate = speed_mps * tan(self.steering) / kind["wheelbase_m"]
+        self.yaw_rate = speed_mps * tan(self.steering) / kind.wheelbase_m
         turned = self.yaw_rate * tick_s
         middle = self.yaw_rad + turned / 2.0
         self.x_m += speed_mps * tick_s * cos(middle)
@@ -75,27 +78,29 @@ class Car:
     def select_gear(self, command):
         """Drive engages some time after a positive command, later if a negative one put it into reverse before."""
         kind = self.kind
-        ticks = {name: int(kind[f"gear_{name}_s"] / self.tick_s + 0.5) for name in ("poll", "drive", "reverse")}
-        polls = self.gear_tick % max(ticks["poll"], 1) == 0
+        polls = self.gear_tick % max(self.ticks(kind.gear_poll_s), 1) == 0
         self.gear_tick += 1
         if self.gear_wait:
             self.gear_wait -= 1
         if self.gear_wait == 0:
             self.engaged = True
-        elif polls and self.speed < kind["gear_speed_mps"]:
+        elif polls and self.speed < kind.gear_speed_mps:
             if command < 0.0:
                 self.in_reverse, self.gear_wait = True, None
             elif command > 0.0 and self.gear_wait is None:
-                self.gear_wait = ticks["reverse" if self.in_reverse else "drive"]
+                self.gear_wait = self.ticks(kind.gear_reverse_s if self.in_reverse else kind.gear_drive_s)
+
+    def ticks(self, time_s):
+        return int(time_s / self.tick_s + 0.5)
 
     def observe(self):
-        odometry, ahead_m = self.odometry, self.kind["tracked_point_m"]
+        odometry, ahead_m = self.odometry, self.kind.tracked_point_m
         truth, measured = odometry.truth, odometry.measured
         truth.x_m = x_m = self.x_m + ahead_m * cos(self.yaw_rad)
         truth.y_m = y_m = self.y_m + ahead_m * sin(self.yaw_rad)
         truth.yaw_rad = yaw_rad = self.yaw_rad
         if self.random:
-            spread, width = self.noise["position_sd_m"], self.noise["heading_half_width_rad"]
+            spread, width = self.noise.position_sd_m, self.noise.heading_half_width_rad
             x_m += self.random.gauss(0.0, spread)
             y_m += self.random.gauss(0.0, spread)
             yaw_rad += self.random.triangular(-width, width)
@@ -133,8 +138,8 @@ class Vehicle:
         self.credits, self.odometry = Inlet(run, "credit"), Outlet(run, "odometry")
         self.outlets = [self.odometry]
         self.status = Status(capacity=CAPACITY, pacing=Status.REAL_TIME if realtime else 0)
-        self.tick_ns = round(run.config["drive"]["tick_s"] * 1e9)
-        self.age_limit_ns = round(run.config["vehicle"]["safety"]["command_age_limit_s"] * 1e9)
+        self.tick_ns = round(run.config.drive.tick_s * 1e9)
+        self.age_limit_ns = round(run.config.vehicle.safety.command_age_limit_s * 1e9)
         self.started_ns = now_ns()
         self.slots = []  # none before the first batch
         self.waits_for_command = False
@@ -170,8 +175,10 @@ class Vehicle:
         self.command_tick, self.command_sent_ns = -1, 0
         # Who records one drive asks for the next when it has the last; who records the run says when it is ready.
         wanted = ((DriveRequest.RECORDED, Credit.AHEAD), (DriveRequest.LOGGED, 0))
-        asks = lambda source: not self.realtime and any(request.flags & source for request in requests)
-        self.allowed = {source: ticks for source, ticks in wanted if asks(source)}
+        flags = 0
+        for request in requests:
+            flags |= request.flags
+        self.allowed = {source: ticks for source, ticks in wanted if flags & source and not self.realtime}
         self.odometry.header = TickHeader(run=header.run, batch=header.batch, attempt=header.attempt)
         self.zero_ns = now_ns()
         if self.realtime and self.run.incarnation > 1 and header.sent_ns < self.started_ns:
@@ -261,10 +268,10 @@ class Vehicle:
 
 def main():
     run = Run()
-    model = run.config["vehicle"]["model"]
+    model = run.config.vehicle.model
     if model != "kinematic":
         give_up(f"vehicle.model = {model!r}: this vehicle is kinematic; leave out --vehicle, or set it to kinematic")
-    realtime = "--realtime" in sys.argv[1:] or run.config["run"].get("realtime", False)
+    realtime = "--realtime" in sys.argv[1:] or run.config.run.realtime
     serve(run, Status.VEHICLE, "wake/vehicle", Vehicle(run, realtime))
 
 

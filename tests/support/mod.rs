@@ -5,6 +5,8 @@
 
 #![allow(dead_code, unreachable_pub, reason = "each test file uses its own part")]
 
+pub mod conformance;
+
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
