@@ -93,7 +93,7 @@ fn by_time(stand: &Stand, now_ns: u64) -> u64 {
 }
 
 fn since_beat(stand: &Stand) -> u64 {
-    stand.beat.map_or(0, |(_, _, at_ns)| now_ns() - at_ns)
+    stand.beat.map_or(0, |(_, _, at_ns)| now_ns().saturating_sub(at_ns))
 }
 
 /// SIGINT, and what is left behind it.

@@ -84,7 +84,7 @@ pub(super) struct Stand {
     /// How it died, if nobody asked it to.
     pub(super) died: Option<String>,
     pub(super) started_ns: u64,
-    /// The last sign of life with its header, and the longest gap between two of one incarnation.
+    /// The last sign of life with its header and time, and the longest gap between two of one incarnation.
     pub(super) beat: Option<(BatchHeader, Status, u64)>,
     pub(super) longest_gap_ns: u64,
     pub(super) heard: VecDeque<Seen>,
@@ -175,11 +175,14 @@ impl Stand {
             if self.attachment.incarnation > 1 && status.incarnation < self.attachment.incarnation {
                 continue;
             }
-            let now = now_ns();
-            if let Some((_, _, before)) = self.beat {
-                self.longest_gap_ns = self.longest_gap_ns.max(now - before);
+            let (header, now) = (message.header(), now_ns());
+            // As it was sent: the stand may have been busy itself.
+            let is_stamped = header.sent_ns <= now && now - header.sent_ns < 5_000_000_000;
+            let at_ns = if is_stamped { header.sent_ns } else { now };
+            if let Some((_, _, before_ns)) = self.beat {
+                self.longest_gap_ns = self.longest_gap_ns.max(at_ns.saturating_sub(before_ns));
             }
-            self.beat = Some((message.header(), status, now));
+            self.beat = Some((header, status, at_ns));
             any = true;
         }
         while let Some(message) = self.odometry.receive()? {
