@@ -16,7 +16,7 @@ import iceoryx2 as iox2
 from pathtune_messages import TOPICS, BatchHeader, Status
 
 now_ns = time.monotonic_ns
-# Who has waited this long may sleep; who wrote longer ago than this must wake its readers. Not to be changed by one side.
+# Who has waited this long may sleep; who wrote longer ago must wake its readers. Both sides count on it.
 SLEEPS_AFTER_NS = 100_000
 YIELDS = 64
 NAP_NS = 20_000_000
