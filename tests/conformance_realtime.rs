@@ -56,6 +56,8 @@ struct Broken {
     config: RunConfig,
     tick_ns: u64,
     header: TickHeader,
+    /// Ticks that were driven, however they are counted.
+    driven: u64,
     zero_ns: u64,
     due_ns: u64,
     cars: Vec<Odometry>,
@@ -77,6 +79,7 @@ impl Broken {
             tick_ns: (config.drive.tick_s * 1e9) as u64,
             config,
             header: TickHeader::default(),
+            driven: 0,
             zero_ns: 0,
             due_ns: u64::MAX,
             cars: Vec::new(),
@@ -103,6 +106,7 @@ impl Broken {
             self.zero_ns = sent_ns;
             self.header.tick = (now_ns() - sent_ns) / self.tick_ns;
         }
+        self.driven = self.header.tick;
         self.publish()
     }
 
@@ -158,7 +162,7 @@ impl Broken {
         let vehicle = self.config.vehicle.clone();
         let hard = if self.is("stops hard") { 4.0 } else { 1.0 };
         let down_mps = hard * vehicle.safety.stop_deceleration_mps2 * self.config.drive.tick_s;
-        for _ in self.header.tick..tick {
+        for _ in std::mem::replace(&mut self.driven, tick)..tick {
             for car in &mut self.cars {
                 let ends = stops || has(car.status, Odometry::ENDED);
                 let wanted_mps = if ends { 0.0 } else { self.command.speed_mps.max(0.0) };
