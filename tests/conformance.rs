@@ -200,6 +200,9 @@ impl Broken {
         if !self.is("no reset") {
             self.slots.clear();
         }
+        for (_, odometry) in &mut self.slots {
+            odometry.status = 0;
+        }
         let fresh = self.slots.len();
         self.slots.resize_with(requests.len(), || (self.fresh.clone(), Odometry::default()));
         for index in fresh..requests.len() {
