@@ -59,6 +59,13 @@ fn main() -> ExitCode {
         Command::Clean { dry_run } => orchestrator::clean(dry_run),
         Command::Doctor { json } => orchestrator::doctor(json),
         Command::Config(command) => orchestrator::show_config(&command),
+        Command::Conformance(args) => match orchestrator::conformance(&args) {
+            Ok(true) => Ok(()),
+            // What failed is printed already.
+            Ok(false) => return ExitCode::from(1),
+            Err(failure) => Err(failure),
+        },
+        Command::Schema(args) => orchestrator::print_schema(&args),
         Command::Service { service } => {
             serve(service).map_err(|error| match error.downcast::<ros2_vehicle::Refused>() {
                 Ok(refused) => Failure::User(refused.to_string()),

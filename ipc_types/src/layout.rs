@@ -11,6 +11,15 @@ pub struct Field {
     pub offset: usize,
 }
 
+/// One constant of a message: a bit or a value of one of its fields.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Constant {
+    /// Name.
+    pub name: &'static str,
+    /// Value.
+    pub value: u64,
+}
+
 /// What can be written byte by byte, as it lies in memory: little endian, field after field.
 ///
 /// There is no padding that is not a field, so what is written equals the memory of a little endian machine.
@@ -170,3 +179,23 @@ macro_rules! message {
     };
 }
 pub(crate) use message;
+
+/// Defines the constants of a message, and the table of them: what other languages are told.
+macro_rules! constants {
+    (
+        $message:ident:
+        $($(#[doc = $doc:literal])+ pub const $name:ident: $kind:ty = $value:expr;)+
+    ) => {
+        impl $message {
+            $($(#[doc = $doc])+ pub const $name: $kind = $value;)+
+            /// The constants above, in order.
+            pub const CONSTANTS: &'static [$crate::layout::Constant] = &[
+                $($crate::layout::Constant {
+                    name: stringify!($name),
+                    value: $message::$name as u64,
+                }),+
+            ];
+        }
+    };
+}
+pub(crate) use constants;

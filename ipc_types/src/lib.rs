@@ -7,11 +7,15 @@
 //! are in metres, angles in radians, times in nanoseconds of `CLOCK_MONOTONIC`; axes follow REP-103.
 //!
 //! The transport compares types by name, size and alignment alone. Each name therefore ends in a hash of
-//! the layout, and the build fails where hash and layout differ: see [`layout`].
+//! the layout, and the build fails where hash and layout differ: see [`layout`]. [`schema`] tells it all to
+//! Python and C.
 
 pub mod layout;
 mod messages;
+#[macro_use]
 pub mod topics;
+// Behind the topics, whose macro it uses.
+pub mod schema;
 
 pub use messages::*;
 pub use topics::{Message, Topic, WakeRole};

@@ -2,7 +2,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::layout::message;
+use crate::layout::{constants, message};
 
 /// Values of [`Odometry::status`] and of the command's flags are bits; this tests one.
 pub const fn has(bits: u32, bit: u32) -> bool {
@@ -91,7 +91,8 @@ message!(
     }
 );
 
-impl Odometry {
+constants!(
+    Odometry:
     /// `truth` holds the true pose.
     pub const HAS_TRUTH: u32 = 1;
     /// The vehicle has collided.
@@ -100,7 +101,7 @@ impl Odometry {
     pub const ENDED: u32 = 4;
     /// The newest command is older than `vehicle.safety.command_age_limit_s`: the vehicle stops on its own.
     pub const OWN_STOP: u32 = 8;
-}
+);
 
 message!(
     /// What the control law wants. Sent by the controller.
@@ -123,10 +124,11 @@ message!(
     }
 );
 
-impl RawCommand {
+constants!(
+    RawCommand:
     /// The reference stands still: the controller has heard that the gate stops the vehicle.
     pub const FROZEN: u32 = 1 << 16;
-}
+);
 
 message!(
     /// What the vehicle is to do. Sent by the supervisor.
@@ -145,7 +147,8 @@ message!(
     }
 );
 
-impl Command {
+constants!(
+    Command:
     /// This slot's drive has ended: the vehicle ignores the command, or comes to a stop.
     pub const ENDED: u32 = 1;
     /// The gate lowered the speed to its limit.
@@ -166,7 +169,7 @@ impl Command {
     pub const STOPPING: u32 = 256;
     /// The vehicle stands, and is held until it is rearmed.
     pub const STOPPED: u32 = 512;
-}
+);
 
 message!(
     /// What the gate of one vehicle does, and why. Sent by the supervisor with every command in real time, in lockstep
@@ -194,7 +197,8 @@ message!(
     }
 );
 
-impl Safety {
+constants!(
+    Safety:
     /// Value of `state`: commands pass, within limits.
     pub const NORMAL: u32 = 0;
     /// Value of `state`: slowing down with the steering held, for a moment.
@@ -218,7 +222,7 @@ impl Safety {
     pub const TIME_BACK: u32 = 32;
     /// Bit of `reasons`: the supervisor was restarted, and does not know what was before.
     pub const RESTARTED: u32 = 64;
-}
+);
 
 message!(
     /// Lets a stopped vehicle drive again. Sent by `pathtune rearm`, under a header whose `batch` is 0.
@@ -302,12 +306,13 @@ message!(
     }
 );
 
-impl Credit {
+constants!(
+    Credit:
     /// A vehicle in lockstep publishes tick k of a recorded batch only when `ticks + AHEAD > k`, for the newest
     /// credit of each recorder that the batch's flags ask for. Half of an observer's buffer: nothing is lost,
     /// and nobody waits while the recorders keep up.
     pub const AHEAD: u64 = crate::topics::OBSERVER_BUFFER as u64 / 2;
-}
+);
 
 message!(
     /// A drive that a learner asks for. Sent by the trainer, all that are wanted in one message.
@@ -330,10 +335,11 @@ message!(
     }
 );
 
-impl Proposal {
+constants!(
+    Proposal:
     /// In [`BatchHeader::flags`]: the training is over, its outcome written.
     pub const FINISHED: u32 = 1;
-}
+);
 
 message!(
     /// One slot of a batch: the drive that one vehicle makes. Sent by the orchestrator, one a vehicle.
@@ -358,7 +364,8 @@ message!(
     }
 );
 
-impl DriveRequest {
+constants!(
+    DriveRequest:
     /// The measured pose is to carry noise.
     pub const NOISE: u32 = 1;
     /// The gains change with the zone: the controller awaits a [`GainSwitch`] behind each [`Zone`].
@@ -372,7 +379,7 @@ impl DriveRequest {
     /// The vehicle paces by the clock: nobody waits for anybody, answers grow old, and a restarted process joins the
     /// drive under way.
     pub const REAL_TIME: u32 = 16;
-}
+);
 
 message!(
     /// What is remembered of a drive. Sent by the controller when the batch has ended, one a slot.
@@ -413,7 +420,8 @@ message!(
     }
 );
 
-impl DriveReport {
+constants!(
+    DriveReport:
     /// The drive's time was over.
     pub const TIME: u32 = 1;
     /// The vehicle reached the end of the path.
@@ -422,7 +430,7 @@ impl DriveReport {
     pub const COLLISION: u32 = 3;
     /// Bit of `flags`: the controller was restarted on the way; errors are those since then.
     pub const JOINED: u32 = 256;
-}
+);
 
 message!(
     /// A finished drive, as the trainer is told of it. Sent by the orchestrator, again when asked again.
@@ -456,12 +464,13 @@ message!(
     }
 );
 
-impl LearnerProgress {
+constants!(
+    LearnerProgress:
     /// In [`BatchHeader::flags`]: no learners, but the drives of a list.
     pub const DRIVES: u32 = 1;
     /// In [`BatchHeader::flags`]: no learners, but the sets of a ranking.
     pub const RANKING: u32 = 2;
-}
+);
 
 message!(
     /// A sign of life. Sent by every process, when it becomes ready and then at least every 100 ms.
@@ -491,7 +500,8 @@ message!(
     }
 );
 
-impl Status {
+constants!(
+    Status:
     /// Value of `role`.
     pub const VEHICLE: u32 = 1;
     /// Value of `role`.
@@ -508,4 +518,4 @@ impl Status {
     pub const REAL_TIME: u32 = 1;
     /// Bit of `pacing`: stands at the start of the path, ready to be reset.
     pub const AT_START: u32 = 2;
-}
+);

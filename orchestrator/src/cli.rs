@@ -84,6 +84,10 @@ pub enum Command {
     /// Show or write the presets
     #[command(subcommand)]
     Config(ConfigCommand),
+    /// Check that a program can fill the vehicle's role
+    Conformance(Box<ConformanceArgs>),
+    /// Print the messages and topics for a process in another language
+    Schema(SchemaArgs),
     /// A process of a pipeline; started by the orchestrator, not by hand
     #[command(hide = true)]
     Service {
@@ -411,6 +415,58 @@ pub enum TunerArg {
     EducatedQ,
     /// Plain Q-learning
     Q,
+}
+
+/// Options of `conformance`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune conformance -- python3 my_vehicle.py
+  pathtune conformance --allow-motion --json -- python3 my_vehicle.py
+  pathtune conformance --allow-motion --realtime -- ./my_car --port 3
+  pathtune conformance --allow-motion -- pathtune service simulator")]
+pub struct ConformanceArgs {
+    /// Make also the checks that move the vehicle: slowly, some ten metres, and to the left
+    #[arg(long)]
+    pub allow_motion: bool,
+    /// Set run.realtime: the vehicle is to pace by the clock
+    #[arg(long)]
+    pub realtime: bool,
+    /// The vehicle claims that the same request gives the same drive
+    #[arg(long)]
+    pub deterministic: bool,
+    /// The manoeuvre whose configuration the vehicle reads
+    #[arg(long, value_name = "NAME", default_value = "lane_change")]
+    pub maneuver: String,
+    /// A vehicle: a preset, or a file on top of the default one
+    #[arg(long, value_name = "NAME|FILE")]
+    pub vehicle: Option<String>,
+    /// One key on top of everything, as in --set drive.tick_s=0.02; repeatable
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Folder for configuration and log, kept [default: one that is removed]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print the findings as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// The program that is to be checked, with its arguments
+    #[arg(last = true, required = true, value_name = "CMD")]
+    pub command: Vec<String>,
+}
+
+/// In which language.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+#[command(after_help = "Examples:
+  pathtune schema --python > pathtune_messages.py
+  pathtune schema --c > pathtune_messages.h")]
+pub struct SchemaArgs {
+    /// A Python module of ctypes structures
+    #[arg(long)]
+    pub python: bool,
+    /// A C header
+    #[arg(long)]
+    pub c: bool,
 }
 
 /// What to do with the presets.

@@ -7,6 +7,7 @@
 
 mod bench;
 pub mod cli;
+mod conformance;
 mod cores;
 mod drive;
 mod failure;
@@ -31,10 +32,11 @@ mod terminal;
 mod train;
 
 pub use bench::bench;
+pub use conformance::conformance;
 pub use drive::drive;
 pub use failure::Failure;
 pub use housekeeping::{LivingRun, clean, doctor, living_run, logs, status, stop};
-pub use presets::show_config;
+pub use presets::{print_schema, show_config};
 pub use rearm::rearm;
 pub use replay::{replay, replay_config};
 pub use setup::{Ended, name_files};

@@ -76,7 +76,7 @@ impl Interrupts {
     }
 
     /// The one that came last, if any did.
-    fn signal(&self) -> Option<i32> {
+    pub(crate) fn signal(&self) -> Option<i32> {
         match self.0.load(Ordering::Relaxed) {
             0 => None,
             signal => Some(signal as i32),

@@ -1,10 +1,20 @@
-//! `pathtune config`: the embedded presets, printed or written.
+//! `pathtune config` and `pathtune schema`: what the binary carries, printed or written.
 
 use std::fs;
 
 use crate::Failure;
-use crate::cli::ConfigCommand;
+use crate::cli::{ConfigCommand, SchemaArgs};
 use crate::terminal::say;
+
+/// Prints the messages and topics for another language.
+///
+/// # Errors
+/// If standard output does not take it.
+pub fn print_schema(args: &SchemaArgs) -> Result<(), Failure> {
+    let text = if args.python { ipc_types::schema::python() } else { ipc_types::schema::c() };
+    say!("{}", text.trim_end());
+    Ok(())
+}
 
 /// Prints or writes the embedded presets.
 ///

@@ -64,7 +64,7 @@ impl Process {
     }
 
     /// Asks it to stop.
-    fn interrupt(&self) {
+    pub(crate) fn interrupt(&self) {
         let _ = kill_process_group(pid_of(&self.child), Signal::INT);
     }
 

@@ -5,6 +5,7 @@
 
 #![allow(dead_code, unreachable_pub, reason = "each test file uses its own part")]
 
+pub mod conformance;
 pub mod dds;
 
 use std::ffi::OsStr;

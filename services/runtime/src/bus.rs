@@ -247,6 +247,8 @@ pub struct Alarm {
 impl Alarm {
     /// Sleeps until somebody notifies, or for `at_most`. May also return for no reason.
     pub fn wait(&self, at_most: Duration) {
+        // The socket beneath takes whole microseconds, and 0 of them for a time without end.
+        let at_most = at_most.max(Duration::from_micros(10));
         let _ = self.listener.timed_wait(|_| {}, at_most);
     }
 

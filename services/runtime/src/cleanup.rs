@@ -60,9 +60,9 @@ pub fn run_helper() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whether a name of the transport's holds an id that `pid` made: ids are decimal numbers of 128 bits,
+/// Whether a name of the transport's (in `/dev/shm`, or among its nodes) holds an id that `pid` made: ids are decimal numbers of 128 bits,
 /// counter, pid, nanoseconds and seconds from the top, 32 bits each.
-fn carries_pid(name: &str, pid: u32) -> bool {
+pub fn carries_pid(name: &str, pid: u32) -> bool {
     name.split(|c: char| !c.is_ascii_digit())
         .filter(|digits| digits.len() > 20)
         .filter_map(|digits| digits.parse::<u128>().ok())

@@ -1,0 +1,218 @@
+//! `pathtune conformance`: whether a program keeps to the vehicle's part of the contract.
+//!
+//! It runs alone on a bus of its own. Orchestrator, supervisor and recorder are played by the [`stand`]; what is
+//! asked of it lies in one table, [`checks`], and each check fails for its own reason: what another one needs is
+//! not blamed twice.
+
+mod checks;
+mod credits;
+mod life;
+mod motion;
+mod protocol;
+mod realtime;
+mod stand;
+
+use std::fs::{self, File};
+use std::path::Path;
+
+use anyhow::Context;
+use comfy_table::Table;
+use comfy_table::presets::NOTHING;
+use config::launch::{Launch, Role};
+use config::{Layers, RunConfig};
+use ipc_types::Status;
+use runtime::Attachment;
+use runtime::run::{LOCK_FILE, RunNames, sweep_dead_runs};
+use serde_json::json;
+
+use crate::cli::ConformanceArgs;
+use crate::pipeline::Interrupts;
+use crate::process::last_lines;
+use crate::terminal::say;
+use crate::{Failure, preflight};
+use checks::{Findings, Verdict};
+use stand::{MAX_SLOTS, Stand};
+
+/// Checks a vehicle; whether nothing failed.
+///
+/// # Errors
+/// The user's mistakes; if the stand itself fails.
+pub fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
+    let interrupted = Interrupts::new()?;
+    let config = resolve(args)?;
+    let mut launch = Launch::train();
+    let command = command_of(&args.command)?;
+    launch.replace(&format!("vehicle={command}"))?;
+    preflight::check_commands(&launch)?;
+    let entry = launch.process.into_iter().find(|entry| entry.role == Role::Vehicle);
+    let entry = entry.context("the preset has a vehicle")?;
+
+    sweep_dead_runs();
+    preflight::check_shared_memory(MAX_SLOTS)?;
+    let folder = Folder(
+        preflight::make_folder(&match &args.out {
+            Some(folder) => folder.clone(),
+            None => {
+                std::env::temp_dir().join(format!("pathtune-conformance-{}", std::process::id()))
+            }
+        })?,
+        args.out.is_some(),
+    );
+    let text = toml::to_string(&config).context("the configuration")?;
+    fs::write(folder.0.join("config.toml"), text)?;
+
+    let names = RunNames::create().map_err(|error| Failure::User(error.to_string()))?;
+    let names = Removed(names);
+    let lock = File::create(names.0.root.join(LOCK_FILE))?;
+    lock.lock()?;
+    let attachment = Attachment {
+        names: names.0.clone(),
+        folder: folder.0.clone(),
+        max_len: MAX_SLOTS,
+        incarnation: 0,
+        core: None,
+        parent: std::process::id() as i32,
+        chaos: None,
+    };
+    let mut findings = Findings::default();
+    let mut stand = Stand::new(config, entry, attachment, interrupted)?;
+    examine(args, &mut stand, &mut findings)?;
+    drop(stand);
+    tell(args, &findings, &folder.0)
+}
+
+/// All checks, in their order.
+fn examine(args: &ConformanceArgs, stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
+    if !life::becomes_ready(stand, to)? {
+        return life::ends(stand, to);
+    }
+    // A car of its own pace is taken as what it says it is.
+    let wanted = stand.realtime;
+    let says_so = ipc_types::has(stand.told().pacing, Status::REAL_TIME);
+    stand.realtime |= says_so;
+    to.note(
+        "pacing",
+        stand.told().pacing & !3 == 0
+            && (stand.realtime == ipc_types::has(stand.told().pacing, Status::REAL_TIME)),
+        format!("pacing {}, run.realtime {wanted}", stand.told().pacing),
+    );
+    if protocol::begins(stand, to)? {
+        if stand.realtime {
+            to.skip(checks::LOCKSTEP_ALONE, "the vehicle paces by the clock");
+            realtime::check(stand, to)?;
+        } else {
+            to.skip(
+                checks::REAL_TIME_ALONE,
+                "the vehicle drives in lockstep; --realtime asks for the other",
+            );
+            protocol::check(stand, to)?;
+            credits::check(stand, to)?;
+        }
+        if args.allow_motion {
+            motion::check(stand, to)?;
+            if !stand.realtime {
+                motion::repeats(stand, to, args.deterministic || is_ours(&args.command))?;
+            }
+        } else {
+            to.skip(checks::MOVING, "moves the vehicle: --allow-motion");
+        }
+        protocol::goes_on_behind_a_restart(stand, to)?;
+        life::restarts(stand, to)?;
+    }
+    protocol::sum_up(stand, to);
+    life::ends(stand, to)
+}
+
+fn is_ours(words: &[String]) -> bool {
+    words.first().is_some_and(|word| word == "pathtune")
+}
+
+/// The words of the command as one line; `pathtune` is this very program.
+fn command_of(words: &[String]) -> Result<String, Failure> {
+    let mut words = words.to_vec();
+    if is_ours(&words) {
+        words[0] = std::env::current_exe()?.display().to_string();
+    }
+    Ok(shell_words::join(words))
+}
+
+fn resolve(args: &ConformanceArgs) -> Result<RunConfig, Failure> {
+    let mut layers = Layers::maneuver(&args.maneuver)?;
+    if let Some(vehicle) = &args.vehicle {
+        layers.set_vehicle("--vehicle", vehicle)?;
+    }
+    for assignment in &args.set {
+        layers.set(assignment)?;
+    }
+    if args.realtime {
+        layers.put("--realtime", "run.realtime", true)?;
+    }
+    Ok(layers.resolve()?)
+}
+
+/// Characters of what was seen that a row shows; of a failure, all of it is told below.
+const SEEN_WIDTH: usize = 60;
+
+/// Prints what was found; whether nothing failed.
+fn tell(args: &ConformanceArgs, findings: &Findings, folder: &Path) -> Result<bool, Failure> {
+    let count = |verdict| findings.rows().filter(|(_, it, _)| *it == verdict).count();
+    let failed = count(Verdict::Fail);
+    let log = last_lines(&folder.join("logs/vehicle.log"), 5);
+    if args.json {
+        let rows: Vec<_> = findings
+            .rows()
+            .map(|(check, verdict, seen)| {
+                json!({ "id": check.id, "name": check.name, "verdict": verdict, "seen": seen, "mend": check.mend })
+            })
+            .collect();
+        let told = json!({
+            "checks": rows,
+            "passed": count(Verdict::Pass),
+            "failed": failed,
+            "skipped": count(Verdict::Skipped),
+            "log": log,
+        });
+        say!("{}", serde_json::to_string_pretty(&told).context("the findings")?);
+        return Ok(failed == 0);
+    }
+    let mut table = Table::new();
+    table.load_style(NOTHING).set_header(["", "check", "what", "seen"]);
+    for (check, verdict, seen) in findings.rows() {
+        let word = match verdict {
+            Verdict::Pass => "pass",
+            Verdict::Fail => "FAIL",
+            Verdict::Skipped => "skipped",
+        };
+        let short: String = seen.chars().take(SEEN_WIDTH).collect();
+        table.add_row([word, check.id, check.name, &short]);
+    }
+    say!("{table}");
+    for (check, _, seen) in findings.rows().filter(|(_, verdict, _)| *verdict == Verdict::Fail) {
+        say!("{}: {} ({seen}); {}", check.id, check.name, check.mend);
+    }
+    if failed > 0 && !log.is_empty() {
+        say!("its log ends: {}", log.join(" | "));
+    }
+    say!("{} passed, {failed} failed, {} skipped", count(Verdict::Pass), count(Verdict::Skipped));
+    Ok(failed == 0)
+}
+
+/// The folder, removed with this unless the user named it.
+struct Folder(std::path::PathBuf, bool);
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        if !self.1 {
+            let _ = fs::remove_dir_all(&self.0);
+        }
+    }
+}
+
+/// Everything of the run, removed with this.
+struct Removed(RunNames);
+
+impl Drop for Removed {
+    fn drop(&mut self) {
+        self.0.remove();
+    }
+}

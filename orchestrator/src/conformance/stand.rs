@@ -1,0 +1,416 @@
+//! The test stand: a run of its own with the vehicle as its only process, and the sides that it talks to played here.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use config::RunConfig;
+use config::launch::ProcessEntry;
+use ipc_types::{
+    BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WirePose, has,
+};
+use runtime::clock::now_ns;
+use runtime::{Attachment, Bus, Inlet, Outlet};
+
+use crate::Failure;
+use crate::pipeline::Interrupts;
+use crate::process::{Process, clean_up_behind, describe};
+
+/// The most slots that are driven at once.
+pub(super) const MAX_SLOTS: usize = 16;
+/// So long nothing may come before it counts as silence.
+pub(super) const SILENCE: Duration = Duration::from_millis(80);
+/// So long an answer may take: it is one tick of lockstep.
+pub(super) const ANSWER: Duration = Duration::from_secs(1);
+
+/// One odometry that was heard.
+#[derive(Debug, Clone)]
+pub(super) struct Seen {
+    pub(super) header: TickHeader,
+    pub(super) items: Vec<Odometry>,
+    pub(super) heard_ns: u64,
+}
+
+impl Seen {
+    pub(super) fn first(&self) -> Odometry {
+        self.items.first().copied().unwrap_or_default()
+    }
+
+    /// Bits that any slot has.
+    pub(super) fn has(&self, bit: u32) -> bool {
+        self.items.iter().any(|item| has(item.status, bit))
+    }
+}
+
+/// What is told of all odometry, whoever asked for it.
+#[derive(Debug, Default)]
+pub(super) struct Oddities {
+    pub(super) heard: u64,
+    pub(super) not_finite: Option<String>,
+    pub(super) elements: Option<String>,
+    pub(super) stamps: Option<String>,
+}
+
+/// Those that speak to the vehicle, on a bus of their own, so that they can go and come back.
+struct Sides {
+    requests: Outlet<DriveRequest>,
+    commands: Outlet<Command>,
+    credits: Outlet<Credit>,
+    bus: Bus,
+}
+
+impl Sides {
+    fn new(attachment: &Attachment) -> Result<Self, Failure> {
+        let bus = Bus::attach(&attachment.names, attachment.max_len)?;
+        Ok(Self { requests: bus.outlet()?, commands: bus.outlet()?, credits: bus.outlet()?, bus })
+    }
+}
+
+/// The stand.
+pub(super) struct Stand {
+    pub(super) config: RunConfig,
+    pub(super) realtime: bool,
+    entry: ProcessEntry,
+    log: PathBuf,
+    pub(super) attachment: Attachment,
+    /// Holds the topics.
+    _bus: Bus,
+    status: Inlet<Status>,
+    odometry: Inlet<Odometry>,
+    /// None only while others take their place.
+    sides: Option<Sides>,
+    interrupted: Interrupts,
+    pub(super) process: Option<Process>,
+    /// How it died, if nobody asked it to.
+    pub(super) died: Option<String>,
+    pub(super) started_ns: u64,
+    /// The last sign of life with its header and time, and the longest gap between two of one incarnation.
+    pub(super) beat: Option<(BatchHeader, Status, u64)>,
+    pub(super) longest_gap_ns: u64,
+    pub(super) heard: VecDeque<Seen>,
+    pub(super) oddities: Oddities,
+    /// The batch under way.
+    pub(super) header: BatchHeader,
+    pub(super) slots: usize,
+    last: TickHeader,
+}
+
+impl Stand {
+    pub(super) fn new(
+        config: RunConfig,
+        entry: ProcessEntry,
+        attachment: Attachment,
+        interrupted: Interrupts,
+    ) -> Result<Self, Failure> {
+        let bus = Bus::create(&attachment.names, attachment.max_len)?;
+        let log = attachment.folder.join("logs").join("vehicle.log");
+        Ok(Self {
+            realtime: config.run.realtime,
+            config,
+            entry,
+            log,
+            status: bus.inlet()?,
+            odometry: bus.observe()?,
+            sides: Some(Sides::new(&attachment)?),
+            _bus: bus,
+            interrupted,
+            process: None,
+            died: None,
+            started_ns: 0,
+            beat: None,
+            longest_gap_ns: 0,
+            heard: VecDeque::new(),
+            oddities: Oddities::default(),
+            header: BatchHeader { run: attachment.names.run, ..BatchHeader::default() },
+            attachment,
+            slots: 0,
+            last: TickHeader::default(),
+        })
+    }
+
+    /// Starts the vehicle, once more if it was started before.
+    pub(super) fn start(&mut self) -> Result<(), Failure> {
+        self.attachment.incarnation += 1;
+        self.beat = None;
+        let process = Process::start(&self.entry, &self.attachment, &self.log)?;
+        self.process = Some(process);
+        self.started_ns = now_ns();
+        Ok(())
+    }
+
+    /// Kills the vehicle, and cleans up behind it as an orchestrator does.
+    pub(super) fn kill(&mut self) -> Result<(), Failure> {
+        if let Some(mut process) = self.process.take() {
+            process.kill();
+            clean_up_behind(&self.attachment, process.id()).map_err(Failure::Other)?;
+        }
+        self.pump()?;
+        self.heard.clear();
+        Ok(())
+    }
+
+    pub(super) fn ticks_of(&self, time_s: f64) -> u64 {
+        (time_s / self.config.drive.tick_s).ceil() as u64
+    }
+
+    pub(super) fn tick(&self) -> Duration {
+        Duration::from_secs_f64(self.config.drive.tick_s)
+    }
+
+    /// Takes whatever has come.
+    pub(super) fn pump(&mut self) -> Result<bool, Failure> {
+        if let Some(signal) = self.interrupted.signal() {
+            return Err(Failure::Interrupted(signal));
+        }
+        if let Some(process) = &mut self.process
+            && let Some(status) = process.try_wait()
+        {
+            self.died = Some(describe(status));
+            self.process = None;
+        }
+        let mut any = false;
+        while let Some(message) = self.status.receive()? {
+            let Some(status) = message.items().first().copied() else { continue };
+            // A beat of an incarnation before this one may still lie there.
+            if self.attachment.incarnation > 1 && status.incarnation < self.attachment.incarnation {
+                continue;
+            }
+            let (header, now) = (message.header(), now_ns());
+            // As it was sent: the stand may have been busy itself.
+            let is_stamped = header.sent_ns <= now && now - header.sent_ns < 5_000_000_000;
+            let at_ns = if is_stamped { header.sent_ns } else { now };
+            if let Some((_, _, before_ns)) = self.beat {
+                self.longest_gap_ns = self.longest_gap_ns.max(at_ns.saturating_sub(before_ns));
+            }
+            self.beat = Some((header, status, at_ns));
+            any = true;
+        }
+        while let Some(message) = self.odometry.receive()? {
+            let (header, items) = (message.header(), message.items().to_vec());
+            self.look_at(header, &items);
+            self.heard.push_back(Seen { header, items, heard_ns: now_ns() });
+            any = true;
+        }
+        Ok(any)
+    }
+
+    /// What must hold of every odometry.
+    fn look_at(&mut self, header: TickHeader, items: &[Odometry]) {
+        let tick = header.tick;
+        self.oddities.heard += 1;
+        for item in items {
+            let WirePose { x_m, y_m, yaw_rad } = item.measured;
+            let numbers =
+                [x_m, y_m, yaw_rad, item.speed_mps, item.yaw_rate_radps, item.steering_rad];
+            let truth = [item.truth.x_m, item.truth.y_m, item.truth.yaw_rad];
+            let is_finite = numbers.iter().chain(&truth).all(|number| number.is_finite());
+            if !is_finite || item.reserved != 0 || header.reserved != 0 {
+                let seen = format!("tick {tick}: {item:?}");
+                self.oddities.not_finite.get_or_insert(seen);
+            }
+        }
+        let of_batch = (header.batch, header.attempt) == (self.header.batch, self.header.attempt);
+        if of_batch && items.len() != self.slots {
+            let seen = format!("tick {tick}: {} elements of {}", items.len(), self.slots);
+            self.oddities.elements.get_or_insert(seen);
+        }
+        let (before, now) = (self.last, now_ns());
+        let follows = (before.batch, before.attempt) == (header.batch, header.attempt);
+        let sent_ns = header.odometry_sent_ns;
+        if sent_ns > now || now - sent_ns > 5_000_000_000 {
+            let seen = format!("tick {tick}: {sent_ns}, heard at {now}");
+            self.oddities.stamps.get_or_insert(seen);
+        } else if follows && sent_ns <= before.odometry_sent_ns {
+            let seen = format!("tick {tick}: {sent_ns} behind {}", before.odometry_sent_ns);
+            self.oddities.stamps.get_or_insert(seen);
+        }
+        self.last = header;
+    }
+
+    /// Waits until something holds; whether it did in time. A dead vehicle is not waited for.
+    pub(super) fn wait(
+        &mut self,
+        at_most: Duration,
+        mut holds: impl FnMut(&mut Self) -> bool,
+    ) -> Result<bool, Failure> {
+        let until_ns = now_ns() + at_most.as_nanos() as u64;
+        let mut looks = 0u32;
+        loop {
+            let any = self.pump()?;
+            if holds(self) {
+                return Ok(true);
+            }
+            if now_ns() >= until_ns || self.process.is_none() {
+                return Ok(false);
+            }
+            looks += 1;
+            if looks.is_multiple_of(64) {
+                self.sides().bus.look_for_readers();
+            }
+            if !any {
+                // Its core may be this one.
+                std::thread::sleep(Duration::from_micros(if looks < 20 { 20 } else { 200 }));
+            }
+        }
+    }
+
+    /// Lets so much time pass.
+    pub(super) fn pass(&mut self, time: Duration) -> Result<(), Failure> {
+        self.wait(time, |_| false).map(|_| ())
+    }
+
+    /// Whether nothing comes for a while.
+    pub(super) fn is_silent(&mut self) -> Result<bool, Failure> {
+        Ok(!self.wait(SILENCE, |stand| !stand.heard.is_empty())?)
+    }
+
+    /// Where slot `index` is to stand: where the configuration says, and beside it.
+    pub(super) fn start_of(&self, index: usize) -> WirePose {
+        let start = self.config.path.start;
+        WirePose { x_m: start.x_m, y_m: start.y_m + 5.0 * index as f64, yaw_rad: start.yaw_rad }
+    }
+
+    /// Asks for a new batch.
+    pub(super) fn request(&mut self, slots: usize, flags: u32) -> Result<(), Failure> {
+        self.header.batch += 1;
+        self.header.attempt = 1;
+        self.send_request(slots, flags)
+    }
+
+    /// Asks for the batch again.
+    pub(super) fn reissue(&mut self, flags: u32) -> Result<(), Failure> {
+        self.header.attempt += 1;
+        self.send_request(self.slots, flags)
+    }
+
+    fn send_request(&mut self, slots: usize, flags: u32) -> Result<(), Failure> {
+        self.pump()?;
+        self.heard.clear();
+        self.slots = slots;
+        self.header.sent_ns = now_ns();
+        let flags = flags | if self.realtime { DriveRequest::REAL_TIME } else { 0 };
+        let starts: Vec<WirePose> = (0..slots).map(|index| self.start_of(index)).collect();
+        self.sides().requests.send(self.header, slots, |index| DriveRequest {
+            start: starts[index],
+            seed: 7,
+            ticks: 1_000_000,
+            learner: index as u32,
+            step: 0,
+            flags,
+            ..DriveRequest::default()
+        })?;
+        Ok(())
+    }
+
+    /// The first odometry of the batch, and of no other.
+    pub(super) fn first(&mut self, at_most: Duration) -> Result<Option<Seen>, Failure> {
+        let of = (self.header.batch, self.header.attempt);
+        self.wait(at_most, |stand| {
+            stand.heard.iter().any(|seen| (seen.header.batch, seen.header.attempt) == of)
+        })?;
+        while let Some(seen) = self.heard.pop_front() {
+            if (seen.header.batch, seen.header.attempt) == of {
+                return Ok(Some(seen));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The oldest odometry that was not looked at.
+    pub(super) fn next(&mut self, at_most: Duration) -> Result<Option<Seen>, Failure> {
+        self.wait(at_most, |stand| !stand.heard.is_empty())?;
+        Ok(self.heard.pop_front())
+    }
+
+    /// A new batch, and its first odometry.
+    pub(super) fn begin(&mut self, slots: usize, flags: u32) -> Result<Option<Seen>, Failure> {
+        self.request(slots, flags)?;
+        self.first(Duration::from_secs(2))
+    }
+
+    /// The header of the command that answers an odometry now.
+    pub(super) fn answer_to(&self, header: TickHeader) -> TickHeader {
+        let now = now_ns();
+        TickHeader {
+            controller_received_ns: now,
+            controller_sent_ns: now,
+            supervisor_received_ns: now,
+            supervisor_sent_ns: now,
+            ..header
+        }
+    }
+
+    pub(super) fn send_commands(
+        &self,
+        header: TickHeader,
+        commands: &[Command],
+    ) -> Result<(), Failure> {
+        self.sides().commands.send(header, commands.len(), |index| commands[index])?;
+        Ok(())
+    }
+
+    /// Answers an odometry with the same command for each slot.
+    pub(super) fn answer(&self, seen: &Seen, command: Command) -> Result<TickHeader, Failure> {
+        let header = self.answer_to(seen.header);
+        self.send_commands(header, &vec![command; self.slots])?;
+        Ok(header)
+    }
+
+    pub(super) fn send_credit(
+        &self,
+        header: BatchHeader,
+        source: u32,
+        ticks: u64,
+    ) -> Result<(), Failure> {
+        let header = BatchHeader { sent_ns: now_ns(), flags: 0, ..header };
+        self.sides().credits.send(header, 1, |_| Credit { ticks, source, reserved: 0 })?;
+        Ok(())
+    }
+
+    /// Drives on from `from` for so many ticks, each with the command that `command` gives for what was seen.
+    /// What was seen, `from` included; shorter if the vehicle fell silent.
+    pub(super) fn drive(
+        &mut self,
+        from: Seen,
+        ticks: u64,
+        mut command: impl FnMut(&Seen) -> Command,
+    ) -> Result<Vec<Seen>, Failure> {
+        let mut seen = vec![from];
+        let end = seen[0].header.tick + ticks;
+        while seen[seen.len() - 1].header.tick < end {
+            let last = &seen[seen.len() - 1];
+            let command = command(last);
+            self.answer(last, command)?;
+            let Some(next) = self.next(ANSWER)? else { break };
+            seen.push(next);
+        }
+        Ok(seen)
+    }
+
+    /// Other publishers in the place of those that there were.
+    pub(super) fn replace_publishers(&mut self) -> Result<(), Failure> {
+        // Each topic has one place: it must be free before it is taken again.
+        self.sides = None;
+        self.sides = Some(Sides::new(&self.attachment)?);
+        Ok(())
+    }
+
+    fn sides(&self) -> &Sides {
+        self.sides.as_ref().expect("there but for a moment")
+    }
+
+    /// What the vehicle told of itself last.
+    pub(super) fn told(&self) -> Status {
+        self.beat.map(|(_, status, _)| status).unwrap_or_default()
+    }
+
+    /// Waits until a count of the status has risen; whether it has, and by how much.
+    pub(super) fn wait_for_count(
+        &mut self,
+        before: u64,
+        count: impl Fn(&Status) -> u64,
+    ) -> Result<(bool, u64), Failure> {
+        let rose = self.wait(Duration::from_millis(600), |stand| count(&stand.told()) > before)?;
+        Ok((rose, count(&self.told()).saturating_sub(before)))
+    }
+}

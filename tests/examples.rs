@@ -1,0 +1,165 @@
+//! The examples: what a reader would copy must work, and say what the contract says.
+
+mod support;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use serde_json::Value;
+use support::Sandbox;
+
+fn example(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(path)
+}
+
+fn skip(why: &str) {
+    assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
+    eprintln!("skipped: {why}");
+}
+
+/// The vehicle in Python as a command, if there is an interpreter with what it needs.
+fn python_vehicle() -> Option<Vec<String>> {
+    let python = std::env::var("PATHTUNE_PYTHON").ok().filter(|python| {
+        let import = Command::new(python).args(["-c", "import iceoryx2, tomllib"]).output();
+        import.is_ok_and(|output| output.status.success())
+    });
+    let Some(python) = python else {
+        skip("PATHTUNE_PYTHON names no interpreter of Python 3.11 with iceoryx2");
+        return None;
+    };
+    // -B: the sources' folder stays as it is.
+    Some(vec![python, "-B".to_owned(), example("python_vehicle/vehicle.py").display().to_string()])
+}
+
+/// The vehicle in Rust as a command: built once, in the folder of the build that runs.
+fn rust_vehicle() -> Vec<String> {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    let program = BUILT.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_BIN_EXE_pathtune")).parent().unwrap();
+        let target = folder.parent().unwrap();
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo
+            .args(["build", "--offline", "--locked", "--quiet", "--manifest-path"])
+            .arg(example("rust_vehicle/Cargo.toml"))
+            .arg("--target-dir")
+            .arg(target);
+        if folder.ends_with("release") {
+            cargo.arg("--release");
+        }
+        let output = cargo.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        folder.join("rust_vehicle")
+    });
+    vec![program.display().to_string()]
+}
+
+fn passes(vehicle: &[String], args: &[&str]) {
+    let sandbox = Sandbox::new();
+    let mut all: Vec<&str> = vec!["conformance", "--json", "--allow-motion"];
+    all.extend(args);
+    all.push("--");
+    all.extend(vehicle.iter().map(String::as_str));
+    let output = sandbox.run(&all);
+    let found: Value = serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
+    let failed: Vec<&Value> = found["checks"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|check| {
+            check["verdict"] == "fail" || check["seen"].as_str().unwrap().starts_with("not reached")
+        })
+        .collect();
+    assert!(output.status.success() && failed.is_empty(), "{failed:#?}\n{}", found["log"]);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn the_mirrors_in_python_and_c_are_what_the_schema_says() {
+    let sandbox = Sandbox::new();
+    let python = sandbox.run(&["schema", "--python"]);
+    let mirror = std::fs::read(example("python_vehicle/pathtune_messages.py")).unwrap();
+    assert!(python.stdout == mirror, "make it again: pathtune schema --python");
+    // Its sizes and offsets are asserted when it is imported.
+    let interpreter = std::env::var("PATHTUNE_PYTHON").unwrap_or("python3".to_owned());
+    let import = "import pathtune_messages as m; assert m.Command.type_name().startswith('pathtune.Command#')";
+    match Command::new(interpreter)
+        .args(["-B", "-c", import])
+        .current_dir(example("python_vehicle"))
+        .output()
+    {
+        Ok(output) => assert!(output.status.success(), "{output:?}"),
+        Err(_) => skip("there is no Python"),
+    }
+    let c = sandbox.run(&["schema", "--c"]);
+    std::fs::write(sandbox.path("pathtune.h"), c.stdout).unwrap();
+    let source = "#include \"pathtune.h\"\nint main(void) { return sizeof(struct pathtune_Odometry) != 80; }\n";
+    std::fs::write(sandbox.path("it.c"), source).unwrap();
+    match Command::new("cc")
+        .args(["-std=c11", "-Wall", "-Wextra", "-Werror", "it.c", "-o", "it"])
+        .current_dir(sandbox.path("."))
+        .output()
+    {
+        Ok(output) => {
+            assert!(output.status.success(), "{output:?}");
+            assert!(Command::new(sandbox.path("it")).status().unwrap().success());
+        }
+        Err(_) => skip("there is no C compiler"),
+    }
+    for wrong in [&["schema"][..], &["schema", "--c", "--python"]] {
+        assert_eq!(sandbox.run(wrong).status.code(), Some(64));
+    }
+}
+
+#[test]
+fn the_python_vehicle_trains_as_ours_does() {
+    let Some(vehicle) = python_vehicle() else { return };
+    let sandbox = Sandbox::new();
+    let ours = sandbox.train("ours", &["lane_change", "--episodes", "2"]);
+    let replaced = format!("vehicle={}", vehicle.join(" "));
+    let theirs =
+        sandbox.train("theirs", &["lane_change", "--episodes", "2", "--replace", &replaced]);
+    let distances = |result: &Value| -> Vec<f64> {
+        let learners = result["learners"].as_array().unwrap().iter();
+        let episodes = learners.flat_map(|learner| learner["episodes"].as_array().unwrap());
+        episodes
+            .flat_map(|episode| episode["distances"].as_array().unwrap())
+            .map(|distance| distance.as_f64().unwrap())
+            .collect()
+    };
+    let (ours, theirs) = (distances(&ours), distances(&theirs));
+    assert_eq!(ours.len(), theirs.len());
+    for (ours, theirs) in ours.iter().zip(&theirs) {
+        assert!((ours - theirs).abs() < 1e-9, "{ours} against {theirs}");
+    }
+    sandbox.assert_clean();
+}
+
+#[test]
+fn the_python_vehicle_keeps_to_the_contract() {
+    let Some(vehicle) = python_vehicle() else { return };
+    passes(&vehicle, &["--deterministic"]);
+}
+
+#[test]
+fn the_python_vehicle_keeps_to_the_contract_in_real_time() {
+    let Some(vehicle) = python_vehicle() else { return };
+    passes(&vehicle, &["--realtime"]);
+}
+
+#[test]
+fn the_rust_vehicle_trains_and_keeps_to_the_contract() {
+    let vehicle = rust_vehicle();
+    passes(&vehicle, &["--deterministic"]);
+    let sandbox = Sandbox::new();
+    let replaced = format!("vehicle={}", vehicle.join(" "));
+    let result = sandbox.train("out", &["lane_change", "--episodes", "2", "--replace", &replaced]);
+    assert_eq!(result["drives"]["asked"], result["drives"]["driven"]);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn the_rust_vehicle_keeps_to_the_contract_in_real_time() {
+    passes(&rust_vehicle(), &["--realtime"]);
+}
