@@ -2,15 +2,13 @@
 
 mod support;
 
-use std::time::Duration;
-
 use anyhow::Result;
 use config::RunConfig;
 use ipc_types::{
     BatchHeader, Command, DriveRequest, Odometry, Status, TickHeader, WakeRole, WirePose, has,
 };
 use runtime::clock::now_ns;
-use runtime::{Bus, Counters, Inlet, NAP, Outlet, Service, join, serve};
+use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use support::conformance::{FAULT, breaks};
 
 #[test]
@@ -208,8 +206,8 @@ impl Service for Broken {
         Ok(true)
     }
 
-    fn nap(&self) -> Duration {
-        Duration::from_nanos(self.due_ns.saturating_sub(now_ns())).min(NAP)
+    fn due_ns(&self) -> u64 {
+        self.due_ns
     }
 
     fn status(&self) -> Counters {

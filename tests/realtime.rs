@@ -2,162 +2,20 @@
 
 mod support;
 
+use std::path::Path;
+use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
-use ipc_types::{BatchHeader, Command as WireCommand, Odometry, Rearm, Safety, TickHeader, has};
+use ipc_types::{Safety, has};
 use runtime::clock::now_ns;
-use runtime::observer::Observer;
-use runtime::run::RunNames;
-use runtime::{Inlet, Outlet};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
+use support::onlooker::{Onlooker, ROUNDABOUT};
 use support::{Sandbox, Training};
 
-/// A car in a roundabout, a quarter of an hour long: the limits of a road, and no end in sight.
-const ROUNDABOUT: &[&str] = &[
-    "roundabout",
-    "--realtime",
-    "--vehicle",
-    "tesla_model_3_guarded",
-    "--set",
-    "drive.loop_time_s=3600",
-    "--set",
-    "path.pieces=[{kind='straight',length_m=4.0},{kind='arc',radius_m=18.0,angle_deg=3600.0}]",
-    "--set",
-    "vehicle.gear_engaged=true",
-    "--restart-budget",
-    "100000",
-];
-
-/// One who looks on, and keeps what was said of the first vehicle.
-struct Onlooker {
-    commands: Inlet<WireCommand>,
-    odometry: Inlet<Odometry>,
-    safety: Inlet<Safety>,
-    rearms: Outlet<Rearm>,
-    run: u64,
-    /// The newest of each.
-    command: Option<(TickHeader, WireCommand)>,
-    seen: Option<(TickHeader, Odometry)>,
-    state: u32,
-    reasons: u32,
-    /// Time of the first safe command, or of the vehicle's own stop, since this was last cleared.
-    safe_ns: Option<u64>,
-    /// The worst of all: distance from the path, speed.
-    off_path_m: f64,
-    speed_mps: f64,
-    _observer: Observer,
-}
-
-impl Onlooker {
-    fn new(names: &RunNames) -> Self {
-        let observer = Observer::attach(names).unwrap();
-        let bus = observer.bus();
-        Self {
-            commands: bus.observe().unwrap(),
-            odometry: bus.observe().unwrap(),
-            safety: bus.observe().unwrap(),
-            rearms: bus.outlet().unwrap(),
-            run: names.run,
-            command: None,
-            seen: None,
-            state: Safety::NORMAL,
-            reasons: 0,
-            safe_ns: None,
-            off_path_m: 0.0,
-            speed_mps: 0.0,
-            _observer: observer,
-        }
-    }
-
-    fn look(&mut self) {
-        while let Some(message) = self.commands.receive().unwrap() {
-            let (header, command) = (message.header(), message.items()[0]);
-            let own = WireCommand::DEGRADED | WireCommand::STOPPING | WireCommand::STOPPED;
-            if has(command.flags, own) {
-                self.note_safe(header.supervisor_sent_ns);
-            }
-            self.command = Some((header, command));
-        }
-        while let Some(message) = self.odometry.receive().unwrap() {
-            let (header, odometry) = (message.header(), message.items()[0]);
-            if has(odometry.status, Odometry::OWN_STOP) {
-                self.note_safe(header.odometry_sent_ns);
-            }
-            self.off_path_m = self.off_path_m.max(off_path_m(&odometry));
-            self.speed_mps = self.speed_mps.max(odometry.speed_mps.abs());
-            self.seen = Some((header, odometry));
-        }
-        while let Some(message) = self.safety.receive().unwrap() {
-            (self.state, self.reasons) = (message.items()[0].state, message.items()[0].reasons);
-        }
-    }
-
-    fn note_safe(&mut self, at_ns: u64) {
-        self.safe_ns = Some(self.safe_ns.map_or(at_ns, |before| before.min(at_ns)));
-    }
-
-    /// Looks until something holds.
-    fn look_until(&mut self, what: &str, mut holds: impl FnMut(&mut Self) -> bool) {
-        let until = Instant::now() + Duration::from_secs(20);
-        loop {
-            self.look();
-            if holds(self) {
-                return;
-            }
-            assert!(
-                Instant::now() < until,
-                "{what}: state {}, reasons {}, {:?}, {:?}",
-                self.state,
-                self.reasons,
-                self.command,
-                self.seen
-            );
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    }
-
-    fn look_for(&mut self, time: Duration) {
-        let until = Instant::now() + time;
-        while Instant::now() < until {
-            self.look();
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    }
-
-    /// Whether commands pass, and the car goes on.
-    fn drives(&self) -> bool {
-        let (Some((_, command)), Some((_, seen))) = (self.command, self.seen) else { return false };
-        self.state == Safety::NORMAL
-            && !has(command.flags, WireCommand::DEGRADED | WireCommand::STOPPING)
-            && !has(seen.status, Odometry::OWN_STOP)
-            && seen.speed_mps > 0.3
-    }
-
-    fn rearm(&self) {
-        let header = BatchHeader { run: self.run, sent_ns: now_ns(), ..BatchHeader::default() };
-        self.rearms.send(header, 1, |_| Rearm::default()).unwrap();
-    }
-
-    /// Looks until the car drives again, rearmed where it was stopped; whether it was.
-    fn until_it_drives(&mut self) -> bool {
-        let mut stopped = false;
-        self.look_until("it drives again", |it| {
-            if it.state == Safety::STOPPED {
-                stopped = true;
-                it.rearm();
-            }
-            it.drives()
-        });
-        stopped
-    }
-}
-
-/// Distance of the true pose from the path of [`ROUNDABOUT`].
-fn off_path_m(odometry: &Odometry) -> f64 {
-    let (x_m, y_m) = (odometry.truth.x_m, odometry.truth.y_m);
-    let from_circle_m = ((x_m - 4.0).hypot(y_m - 18.0) - 18.0).abs();
-    if x_m < 4.0 && y_m < 9.0 { from_circle_m.min(y_m.abs()) } else { from_circle_m }
+/// A car with the limits of a road, in a roundabout without an end.
+fn guarded() -> Vec<&'static str> {
+    [ROUNDABOUT, &["--realtime", "--vehicle", "tesla_model_3_guarded"]].concat()
 }
 
 fn start<'a>(sandbox: &'a Sandbox, args: &[&str]) -> Training<'a> {
@@ -210,7 +68,7 @@ fn every_fault_ends_in_a_safe_command_and_none_is_missed() {
     let injections: usize =
         std::env::var("PATHTUNE_INJECTIONS").map_or(20, |text| text.parse().unwrap());
     let sandbox = Sandbox::new();
-    let mut drive = start(&sandbox, ROUNDABOUT);
+    let mut drive = start(&sandbox, &guarded());
     drive.wait_for("the run", || sandbox.has_living_run());
     let mut onlooker = Onlooker::new(&sandbox.living_run());
     onlooker.until_it_drives();
@@ -273,7 +131,7 @@ fn every_fault_ends_in_a_safe_command_and_none_is_missed() {
 fn a_stopped_vehicle_stands_until_it_is_rearmed_and_then_starts_where_it_is() {
     let sandbox = Sandbox::new();
     // Short of the time that it takes to replace a frozen process.
-    let args = [ROUNDABOUT, &["--set", "vehicle.safety.degraded_limit_s=0.2"]].concat();
+    let args = [&guarded()[..], &["--set", "vehicle.safety.degraded_limit_s=0.2"]].concat();
     let mut drive = start(&sandbox, &args);
     drive.wait_for("the run", || sandbox.has_living_run());
     let nothing = sandbox.run(&["rearm"]);
@@ -324,5 +182,39 @@ fn gains_of_a_training_are_driven() {
     assert_eq!(mistake.status.code(), Some(64));
     let said = String::from_utf8_lossy(&mistake.stderr).into_owned();
     assert!(said.contains("is not the result of a training"), "{said}");
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_car_that_nobody_here_wrote_drives_over_shared_memory() {
+    let why = "PATHTUNE_PYTHON names no interpreter with iceoryx2 and commonroad-vehicle-models";
+    let Some(python) = std::env::var_os("PATHTUNE_PYTHON").filter(|python| {
+        let packages = ["-c", "import iceoryx2, vehiclemodels"];
+        Program::new(python).args(packages).output().is_ok_and(|it| it.status.success())
+    }) else {
+        assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
+        eprintln!("skipped: {why}");
+        return;
+    };
+    let sandbox = Sandbox::new();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/shm_car.py");
+    let car = format!("vehicle={} -B {}", python.to_str().unwrap(), script.display());
+    for (maneuver, seconds) in [("lane_change", 8), ("roundabout", 15)] {
+        let time = format!("drive.loop_time_s={seconds}");
+        let args = ["drive", maneuver, "--set", &time, "--set", "vehicle.gear_engaged=true"];
+        let simulated = [&args[..], &["--vehicle", "tesla_model_3_guarded"]].concat();
+        let simulated = sandbox.json(&format!("simulated_{maneuver}"), &simulated);
+        let driven =
+            [&args[..], &["--realtime", "--vehicle", "ackermann", "--replace", &car]].concat();
+        let driven = sandbox.json(&format!("driven_{maneuver}"), &driven);
+        let off = |result: &Value| result["max_cross_track_m"].as_f64().unwrap();
+        println!(
+            "{maneuver}: at most {:.3} m off the path by the multi-body car over shared memory, {:.3} m by our simulator",
+            off(&driven),
+            off(&simulated),
+        );
+        assert_ne!(driven["reason"], "collision");
+        assert!(off(&driven) < 1.75, "{driven}");
+    }
     sandbox.assert_clean();
 }

@@ -1,0 +1,153 @@
+//! One who looks on while a vehicle drives by the clock, and rearms it where it was stopped.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::{BatchHeader, Command as WireCommand, Odometry, Rearm, Safety, TickHeader, has};
+use runtime::clock::now_ns;
+use runtime::observer::Observer;
+use runtime::run::RunNames;
+use runtime::{Inlet, Outlet};
+
+/// A roundabout without an end: a quarter of an hour, and the drive gear in.
+pub const ROUNDABOUT: &[&str] = &[
+    "roundabout",
+    "--set",
+    "drive.loop_time_s=3600",
+    "--set",
+    "path.pieces=[{kind='straight',length_m=4.0},{kind='arc',radius_m=18.0,angle_deg=3600.0}]",
+    "--set",
+    "vehicle.gear_engaged=true",
+    "--restart-budget",
+    "100000",
+];
+
+/// One who looks on, and keeps what was said of the first vehicle.
+pub struct Onlooker {
+    commands: Inlet<WireCommand>,
+    odometry: Inlet<Odometry>,
+    safety: Inlet<Safety>,
+    rearms: Outlet<Rearm>,
+    run: u64,
+    /// The newest of each.
+    pub command: Option<(TickHeader, WireCommand)>,
+    pub seen: Option<(TickHeader, Odometry)>,
+    pub state: u32,
+    pub reasons: u32,
+    /// Time of the first safe command, or of the vehicle's own stop, since this was last cleared.
+    pub safe_ns: Option<u64>,
+    /// The worst of all: distance from the path, speed.
+    pub off_path_m: f64,
+    pub speed_mps: f64,
+    _observer: Observer,
+}
+
+impl Onlooker {
+    pub fn new(names: &RunNames) -> Self {
+        let observer = Observer::attach(names).unwrap();
+        let bus = observer.bus();
+        Self {
+            commands: bus.observe().unwrap(),
+            odometry: bus.observe().unwrap(),
+            safety: bus.observe().unwrap(),
+            rearms: bus.outlet().unwrap(),
+            run: names.run,
+            command: None,
+            seen: None,
+            state: Safety::NORMAL,
+            reasons: 0,
+            safe_ns: None,
+            off_path_m: 0.0,
+            speed_mps: 0.0,
+            _observer: observer,
+        }
+    }
+
+    pub fn look(&mut self) {
+        while let Some(message) = self.commands.receive().unwrap() {
+            let (header, command) = (message.header(), message.items()[0]);
+            let own = WireCommand::DEGRADED | WireCommand::STOPPING | WireCommand::STOPPED;
+            if has(command.flags, own) {
+                self.note_safe(header.supervisor_sent_ns);
+            }
+            self.command = Some((header, command));
+        }
+        while let Some(message) = self.odometry.receive().unwrap() {
+            let (header, odometry) = (message.header(), message.items()[0]);
+            if has(odometry.status, Odometry::OWN_STOP) {
+                self.note_safe(header.odometry_sent_ns);
+            }
+            self.off_path_m = self.off_path_m.max(off_path_m(&odometry));
+            self.speed_mps = self.speed_mps.max(odometry.speed_mps.abs());
+            self.seen = Some((header, odometry));
+        }
+        while let Some(message) = self.safety.receive().unwrap() {
+            (self.state, self.reasons) = (message.items()[0].state, message.items()[0].reasons);
+        }
+    }
+
+    pub fn note_safe(&mut self, at_ns: u64) {
+        self.safe_ns = Some(self.safe_ns.map_or(at_ns, |before| before.min(at_ns)));
+    }
+
+    /// Looks until something holds.
+    pub fn look_until(&mut self, what: &str, mut holds: impl FnMut(&mut Self) -> bool) {
+        let until = Instant::now() + Duration::from_secs(20);
+        loop {
+            self.look();
+            if holds(self) {
+                return;
+            }
+            assert!(
+                Instant::now() < until,
+                "{what}: state {}, reasons {}, {:?}, {:?}",
+                self.state,
+                self.reasons,
+                self.command,
+                self.seen
+            );
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    pub fn look_for(&mut self, time: Duration) {
+        let until = Instant::now() + time;
+        while Instant::now() < until {
+            self.look();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Whether commands pass, and the car goes on.
+    pub fn drives(&self) -> bool {
+        let (Some((_, command)), Some((_, seen))) = (self.command, self.seen) else { return false };
+        self.state == Safety::NORMAL
+            && !has(command.flags, WireCommand::DEGRADED | WireCommand::STOPPING)
+            && !has(seen.status, Odometry::OWN_STOP)
+            && seen.speed_mps > 0.3
+    }
+
+    pub fn rearm(&self) {
+        let header = BatchHeader { run: self.run, sent_ns: now_ns(), ..BatchHeader::default() };
+        self.rearms.send(header, 1, |_| Rearm::default()).unwrap();
+    }
+
+    /// Looks until the car drives again, rearmed where it was stopped; whether it was.
+    pub fn until_it_drives(&mut self) -> bool {
+        let mut stopped = false;
+        self.look_until("it drives again", |it| {
+            if it.state == Safety::STOPPED {
+                stopped = true;
+                it.rearm();
+            }
+            it.drives()
+        });
+        stopped
+    }
+}
+
+/// Distance of the true pose from the path of [`ROUNDABOUT`].
+fn off_path_m(odometry: &Odometry) -> f64 {
+    let (x_m, y_m) = (odometry.truth.x_m, odometry.truth.y_m);
+    let from_circle_m = ((x_m - 4.0).hypot(y_m - 18.0) - 18.0).abs();
+    if x_m < 4.0 && y_m < 9.0 { from_circle_m.min(y_m.abs()) } else { from_circle_m }
+}
