@@ -32,7 +32,7 @@ mod without {
 mod with {
     use std::fs;
     use std::path::{Path, PathBuf};
-    use std::process::{Child, Command as Program, Stdio};
+    use std::process::Child;
     use std::time::{Duration, Instant};
 
     use config::{Layers, RunConfig};
@@ -47,6 +47,7 @@ mod with {
     use serde_json::Value;
 
     use super::support::dds::{Peer, own_domain, python};
+    use super::support::onlooker::{Onlooker, ROUNDABOUT};
     use super::support::{Sandbox, signal};
 
     /// The rest of the ring.
@@ -508,5 +509,53 @@ mod with {
     #[test]
     fn the_pipeline_drives_it_through_a_roundabout() {
         drive_whole("roundabout", 20);
+    }
+
+    #[test]
+    fn adapters_killed_again_and_again_are_always_ready_again() {
+        let Some(python) = python() else { return };
+        let kills: usize =
+            std::env::var("PATHTUNE_ADAPTER_KILLS").map_or(10, |text| text.parse().unwrap());
+        let (sandbox, domain) = (Sandbox::new(), own_domain());
+        let car = Peer::start(&sandbox, &python, domain, &[]);
+        let set = format!("vehicle.ros2.domain_id={domain}");
+        let adapter = ["--adapter", "ros2-vehicle", "--vehicle", "ackermann"];
+        let network = ["--set", &set, "--set", "vehicle.ros2.network=\"127.0.0.1\""];
+        let mut drive =
+            sandbox.start("drive", "out", &[ROUNDABOUT, &adapter[..], &network[..]].concat());
+        drive.wait_for("the run", || sandbox.has_living_run());
+        let mut onlooker = Onlooker::new(&sandbox.living_run());
+        onlooker.until_it_drives();
+        let (mut times_ms, mut stops) = (Vec::new(), 0);
+        for kill in 0..kills {
+            onlooker.look_for(Duration::from_millis(300));
+            onlooker.until_it_drives();
+            let pid = sandbox.service("ros2-vehicle").unwrap();
+            onlooker.safe_ns = None;
+            let fault_ns = now_ns();
+            // Every third one freezes, which is found out by its silence.
+            signal(pid, if kill % 3 == 2 { Signal::STOP } else { Signal::KILL });
+            onlooker.look_until("a safe command", |it| it.safe_ns.is_some_and(|at| at >= fault_ns));
+            times_ms.push((onlooker.safe_ns.unwrap() - fault_ns) as f64 / 1e6);
+            // Another one drives.
+            onlooker.look_until("another adapter", |_| {
+                sandbox.service("ros2-vehicle").is_some_and(|now| now != pid)
+            });
+            stops += usize::from(onlooker.until_it_drives());
+        }
+        times_ms.sort_by(f64::total_cmp);
+        println!(
+            "{kills} adapters killed or frozen: safe command p50 {:.1} ms, max {:.1} ms; {stops} stops; {:.1} m driven",
+            times_ms[kills / 2],
+            times_ms[kills - 1],
+            car.last("x_m").hypot(car.last("y_m")),
+        );
+        // One publisher, as DDS and as the topic see it: a second one would have been told.
+        let told = sandbox.text("out/logs/ros2-vehicle.log");
+        assert!(!told.contains("publishes on"), "{told}");
+        drop(onlooker);
+        drive.interrupt();
+        drive.finish();
+        sandbox.assert_clean();
     }
 }

@@ -124,6 +124,11 @@ impl Sandbox {
         serde_json::from_slice(&text).unwrap()
     }
 
+    /// A file of the sandbox, as far as it is text.
+    pub fn text(&self, name: &str) -> String {
+        String::from_utf8_lossy(&fs::read(self.path(name)).unwrap_or_default()).into_owned()
+    }
+
     /// Everything that helps to understand a failed run.
     pub fn story(&self, out: &str, output: &Output) -> String {
         let mut story = format!(
