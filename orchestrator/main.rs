@@ -59,6 +59,7 @@ fn main() -> ExitCode {
         Command::Clean { dry_run } => orchestrator::clean(dry_run),
         Command::Doctor { json } => orchestrator::doctor(json),
         Command::Config(command) => orchestrator::show_config(&command),
+        Command::Gains(command) => orchestrator::gains(&command),
         Command::Service { service } => {
             serve(service).map_err(|error| match error.downcast::<ros2_vehicle::Refused>() {
                 Ok(refused) => Failure::User(refused.to_string()),

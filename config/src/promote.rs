@@ -177,11 +177,21 @@ fn edit(
     change: impl FnOnce(&mut Table) -> Result<(), String>,
 ) -> Result<String, String> {
     let mut document: DocumentMut = text.parse().map_err(|error| format!("{error}"))?;
+    let is_new = document.get("gains").and_then(|gains| gains.get(maneuver)).is_none();
+    let last_comment = document.trailing().as_str().unwrap_or_default().to_owned();
     let gains = table_below(document.as_table_mut(), "gains", true)?;
     let set = table_below(gains, maneuver, false)?;
+    if is_new {
+        // At the very end: what is said behind the last key goes before it.
+        set.set_position(Some(isize::MAX));
+        set.decor_mut().set_prefix(format!("{last_comment}\n"));
+    }
     change(set).map_err(|why| format!("gains.{maneuver}: {why}"))?;
     if set.get("history").and_then(Item::as_array_of_tables).is_some_and(ArrayOfTables::is_empty) {
         set.remove("history");
+    }
+    if is_new {
+        document.set_trailing("");
     }
     let mut new = document.to_string();
     if text.contains("\r\n") {
@@ -190,7 +200,10 @@ fn edit(
     // The file decides how a car drives: look at what was made of it before it is used.
     let (before, after) = (rest_of(text, maneuver)?, rest_of(&new, maneuver)?);
     if before.0 != after.0 || after.1.is_none() {
-        return Err("cannot be edited without a change to its other keys; write [gains.…] as tables".to_owned());
+        return Err(
+            "cannot be edited without a change to its other keys; write [gains.…] as tables"
+                .to_owned(),
+        );
     }
     Ok(new)
 }
@@ -269,7 +282,7 @@ mod tests {
         Gains { kv, kl: 21.0, ks: 21.0, ki: 0.7 }
     }
 
-    const FILE: &str = "# My car.\nname = 'mine' # of old\nwheelbase_m   = 3\n\n[safety]\n# Softly.\njerk_limit_mps3 = 9.0\n";
+    const FILE: &str = "# My car.\nname = 'mine' # of old\nwheelbase_m   = 3\n\n[safety]\n# Softly.\njerk_limit_mps3 = 9.0\n\n# The end.\n";
 
     #[test]
     fn the_rest_of_the_file_stays_to_the_letter() {
@@ -294,7 +307,8 @@ mod tests {
 
     #[test]
     fn gains_are_brought_back_digit_for_digit() {
-        let hand = format!("{FILE}\n[gains.lane_change]\nkv = 3.00\nkl = 2_1\nks = 2.1e1\nki = 0.70\n");
+        let hand =
+            format!("{FILE}\n[gains.lane_change]\nkv = 3.00\nkl = 2_1\nks = 2.1e1\nki = 0.70\n");
         let mut text = hand.clone();
         for (kv, digest) in [(2.5, "a"), (2.0, "b")] {
             text = promote(&text, "lane_change", gains(kv), &provenance(digest)).unwrap();
@@ -323,14 +337,17 @@ mod tests {
     #[test]
     fn every_way_to_write_a_table_is_taken() {
         let inline = "{ kv = 1.0, kl = 2.0, ks = 3.0, ki = 0.5 }";
-        let past = "kv = 1.0, kl = 2.0, ks = 3.0, ki = 0.5, replaced_at = 'x', replaced_by = 'rollback'";
+        let past =
+            "kv = 1.0, kl = 2.0, ks = 3.0, ki = 0.5, replaced_at = 'x', replaced_by = 'rollback'";
         for written in [
             format!("gains = {{ lane_change = {inline}, x = {inline} }}\nname = 'mine'\n"),
             format!("gains.lane_change = {inline}\ngains.x = {inline}\nname = 'mine'\n"),
             "gains.lane_change.kv = 1.0\ngains.lane_change.kl = 2\ngains.lane_change.ks = 3\n\
              gains.lane_change.ki = 0.5\nname = 'mine'\n[safety]\njump_limit_m = 1.0\n"
                 .to_owned(),
-            format!("[gains]\nlane_change = {inline}\nx = {inline}\n[safety]\njump_limit_m = 1.0\n"),
+            format!(
+                "[gains]\nlane_change = {inline}\nx = {inline}\n[safety]\njump_limit_m = 1.0\n"
+            ),
             format!(
                 "[gains.lane_change]\nkv=1.0\nkl=2.0\nks=3.0\nki=0.5\nhistory = [{{ {past} }}]\n[safety]\n"
             ),
@@ -347,8 +364,12 @@ mod tests {
             let bare = text.replace("\r\n", "");
             assert!(!written.contains('\r') || !bare.contains('\n'), "{text:?}");
         }
-        for wrong in ["gains = 3", "gains.lane_change = 3", "[gains.lane_change]\nkv = 1.0", "x = "] {
-            assert!(promote(wrong, "lane_change", gains(3.0), &provenance("a")).is_err(), "{wrong}");
+        for wrong in ["gains = 3", "gains.lane_change = 3", "[gains.lane_change]\nkv = 1.0", "x = "]
+        {
+            assert!(
+                promote(wrong, "lane_change", gains(3.0), &provenance("a")).is_err(),
+                "{wrong}"
+            );
         }
     }
 

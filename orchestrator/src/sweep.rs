@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
 use crate::result::write_result;
 use crate::setup::{self, Ended, Folder};
-use crate::terminal::say;
+use crate::terminal::{say, tell};
 use crate::train::run_or_unmake;
 use crate::{Failure, tables};
 
@@ -32,7 +32,7 @@ pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
     let plan =
         SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, realtime: false, sets };
     let name = format!("validate-{}", config.maneuver);
-    sweep(&args.setup, config, plan, &name, "validate", tables::print_validation)
+    sweep(&args.setup, config, plan, &name, "validate", None, tables::print_validation)
 }
 
 /// Drives every gain set of the grid without noise.
@@ -54,7 +54,7 @@ pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
     fill_fleet(&mut config, &args.setup, drives);
     let plan = SweepPlan { kind: SweepKind::Grid, repeats: 0, realtime: false, sets };
     let name = format!("grid-{}", config.maneuver);
-    sweep(&args.setup, config, plan, &name, "grid", tables::print_grid)
+    sweep(&args.setup, config, plan, &name, "grid", None, tables::print_grid)
 }
 
 /// A fleet in which as many drives as possible are made at once, unless the user wants another.
@@ -81,16 +81,22 @@ pub(crate) fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec
         .collect()
 }
 
+/// Makes the drives of a plan, and prints what they have come to; `note` is said before.
 pub(crate) fn sweep(
     args: &SetupArgs,
     config: RunConfig,
     plan: SweepPlan,
     name: &str,
     kind: &str,
+    note: Option<&str>,
     print: fn(&RunConfig, &Value) -> Result<(), Failure>,
 ) -> Result<Ended, Failure> {
     let launch = setup::launch(args, Some("schedule"))?;
     let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(name))?;
+    // Behind every check of what the user asked for: a mistake is told in one line.
+    if let Some(note) = note.filter(|_| !ready.plan.quiet) {
+        tell!("{note}");
+    }
     let facts = run_or_unmake(&ready, true)?;
     let plan = &ready.plan;
     let result = write_result(&plan.folder, kind, &plan.config, &facts)?;
