@@ -152,16 +152,17 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
             )));
         }
     }
+    let text = promote::promote(&target.text, maneuver, *gains, provenance)
+        .map_err(|why| Failure::User(format!("{}: {why}", file.display())))?;
+    if !dry_run {
+        target.replace(&text)?;
+    }
+    // Behind whatever may be refused: that is one line.
     if !trained.on_bound.is_empty() {
         let bounds = trained.on_bound.join(", ");
         tell!(
             "pathtune: warning: on a bound of the training's grid: {bounds}; better gains may lie beyond it"
         );
-    }
-    let text = promote::promote(&target.text, maneuver, *gains, provenance)
-        .map_err(|why| Failure::User(format!("{}: {why}", file.display())))?;
-    if !dry_run {
-        target.replace(&text)?;
     }
     let what = if dry_run { "would be promoted" } else { "promoted" };
     say_changes(file, maneuver, what, old.map(TunedGains::gains), *gains)
