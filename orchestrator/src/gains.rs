@@ -301,7 +301,7 @@ fn check_is_file(file: &Path) -> Result<(), Failure> {
     let name = file.display().to_string();
     let preset = format!("vehicles/{}.toml", name.trim_end_matches(".toml"));
     let is_preset = config::presets().iter().any(|it| it.path == preset);
-    if file.is_file() && !(is_preset && !name.ends_with(".toml")) {
+    if file.is_file() && (name.ends_with(".toml") || !is_preset) {
         return Ok(());
     }
     let why = if is_preset && !file.exists() {
