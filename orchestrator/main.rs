@@ -66,6 +66,7 @@ fn main() -> ExitCode {
             Err(failure) => Err(failure),
         },
         Command::Schema(args) => orchestrator::print_schema(&args),
+        Command::Gains(command) => orchestrator::gains(&command),
         Command::Service { service } => {
             serve(service).map_err(|error| match error.downcast::<ros2_vehicle::Refused>() {
                 Ok(refused) => Failure::User(refused.to_string()),

@@ -7,7 +7,7 @@ use toml::{Table, Value};
 use toml_edit::TableLike;
 
 use crate::presets::{maneuver_names, nearest, preset};
-use crate::{ConfigError, RunConfig, validate};
+use crate::{ConfigError, RunConfig, Vehicle, tuned, validate};
 
 /// A stack of layers, the topmost value of each key with its origin.
 #[derive(Debug, Clone)]
@@ -66,14 +66,19 @@ impl Layers {
             self.load_vehicle(&vehicle, origin)?;
         }
         let mut leaves = Vec::new();
-        walk(document.as_table(), &self.values, &self.values, "", &mut leaves, &|span| {
-            format!(
-                "{origin}:{}",
-                span.map_or(1, |span: std::ops::Range<usize>| line_of(text, span.start))
-            )
-        })?;
+        let place = |span: Option<std::ops::Range<usize>>| {
+            format!("{origin}:{}", span.map_or(1, |span| line_of(text, span.start)))
+        };
+        walk(document.as_table(), &self.values, &self.values, "", &mut leaves, &place)?;
         for (key, origin) in leaves {
             let value = take(&mut values, &key).expect("the same document, parsed twice");
+            if tuned::is_map(&self.values, &key) {
+                let item = key.split('.').try_fold(document.as_item(), |item, name| item.get(name));
+                self.origins.insert(key.clone(), origin);
+                tuned::note_places(item.expect("walked"), &key, &place, &mut self.origins);
+                tuned::lay_on(&mut self.values, &key, value);
+                continue;
+            }
             self.replace(&key, value, origin)?;
         }
         Ok(())
@@ -137,6 +142,11 @@ impl Layers {
         let Self { values, origins, base } = self;
         let origin_of = |key: &str| {
             // The key itself, else a part of it, else what it is a part of.
+            if key.starts_with("vehicle.gains")
+                && let Some(origin) = origins.get(key)
+            {
+                return origin.clone();
+            }
             let below = format!("{key}.");
             if let Some((_, origin)) = origins.iter().find(|(set, _)| set.starts_with(&below)) {
                 return origin.clone();
@@ -160,6 +170,16 @@ impl Layers {
         validate::validate(&config)
             .map_err(|(key, problem)| ConfigError::new(origin_of(&key), key, problem))?;
         Ok(config)
+    }
+
+    /// What a vehicle's own file comes to, on top of the default vehicle.
+    ///
+    /// # Errors
+    /// As [`Layers::set_vehicle`] and [`Layers::resolve`].
+    pub fn vehicle_of_file(file: &str) -> Result<Vehicle, ConfigError> {
+        let mut layers = Self::maneuver("lane_change")?;
+        layers.set_vehicle(file, file)?;
+        Ok(layers.resolve()?.vehicle)
     }
 
     /// The value of a key, where it is a number.
@@ -257,6 +277,10 @@ fn walk(
     for (name, item) in table.iter() {
         let key = if above.is_empty() { name.to_owned() } else { format!("{above}.{name}") };
         let place = origin(table.key(name).and_then(toml_edit::Key::span).or_else(|| item.span()));
+        if tuned::is_map(root, &key) {
+            leaves.push((key, place));
+            continue;
+        }
         match (known.get(name), item.as_table_like()) {
             (Some(Value::Table(below)), Some(table)) => {
                 walk(table, root, below, &key, leaves, origin)?

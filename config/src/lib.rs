@@ -16,10 +16,12 @@ mod own_path;
 mod path_file;
 mod points;
 mod presets;
+pub mod promote;
 mod resample;
 mod ros2;
 mod schema;
 mod sweep;
+mod tuned;
 mod validate;
 
 pub use error::ConfigError;
@@ -29,6 +31,7 @@ pub use presets::{Preset, maneuver_names, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};
 pub use schema::*;
 pub use sweep::{SweepKind, SweepPlan};
+pub use tuned::{PastGains, Provenance, Replacement, TunedGains};
 pub use validate::check_gains;
 
 /// The largest fleet that one message carries.

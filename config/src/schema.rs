@@ -1,6 +1,8 @@
 //! The resolved configuration of a run. Every key is documented beside its value in the presets; the
 //! comments here say what the presets cannot.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{ConfigError, Grid, validate};
@@ -486,6 +488,9 @@ pub struct Vehicle {
     pub gear_speed_mps: f64,
     pub safety: Safety,
     pub ros2: crate::Ros2,
+    /// Gains that were promoted to this vehicle, by manoeuvre; no preset has any.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub gains: BTreeMap<String, crate::TunedGains>,
 }
 
 /// Limits of what may reach the vehicle, and of what may be believed of it. `inf` switches a limit off.

@@ -205,6 +205,7 @@ fn safety(config: &RunConfig) -> Result<(), Problem> {
 fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     safety(config)?;
     crate::ros2::validate(&config.vehicle.ros2)?;
+    crate::tuned::validate(&config.vehicle.gains)?;
     let v = &config.vehicle;
     within("vehicle.wheelbase_m", v.wheelbase_m, 0.01, 20.0)?;
     within("vehicle.tracked_point_m", v.tracked_point_m, -20.0, 20.0)?;

@@ -88,6 +88,9 @@ pub enum Command {
     Conformance(Box<ConformanceArgs>),
     /// Print the messages and topics for a process in another language
     Schema(SchemaArgs),
+    /// The gains in a vehicle's file: bring those of a training there, and back
+    #[command(subcommand)]
+    Gains(GainsCommand),
     /// A process of a pipeline; started by the orchestrator, not by hand
     #[command(hide = true)]
     Service {
@@ -174,7 +177,7 @@ pub struct ValidateArgs {
 pub struct DriveArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// The gains; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84 [default: the paper's]
+    /// The gains; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84 [default: those promoted to the vehicle, or the paper's]
     #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
     pub gains: Option<String>,
     /// The gains that a training has found; for a path with several manoeuvres a training of each; repeatable
@@ -482,6 +485,56 @@ pub enum ConfigCommand {
         /// The folder; made if it is not there
         #[arg(default_value = "pathtune-config")]
         folder: PathBuf,
+    },
+}
+
+/// What to do with the gains in a vehicle's file.
+#[derive(Debug, Subcommand)]
+pub enum GainsCommand {
+    /// List the gains of each manoeuvre
+    List {
+        /// The vehicle's file
+        vehicle: PathBuf,
+        /// Print them as JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Show the gains of a manoeuvre, where they come from, and what stood there before
+    Show {
+        /// The vehicle's file
+        vehicle: PathBuf,
+        /// The manoeuvre
+        maneuver: String,
+        /// Print them as JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Write the gains of a finished training into the vehicle's file
+    #[command(after_help = "Examples:
+  pathtune gains promote runs/mine car.toml --dry-run
+  pathtune gains promote runs/mine car.toml
+  pathtune drive lane_change --vehicle car.toml --realtime")]
+    Promote {
+        /// Folder of the training
+        run: PathBuf,
+        /// The vehicle's file
+        vehicle: PathBuf,
+        /// Also if a gain changes by more than 30 %, or the training was of a vehicle with another geometry
+        #[arg(long)]
+        force: bool,
+        /// Only say what would change
+        #[arg(long)]
+        dry_run: bool,
+    },
+    /// Bring back the gains that stood there before
+    Rollback {
+        /// The vehicle's file
+        vehicle: PathBuf,
+        /// The manoeuvre; may be left out if there is only one
+        maneuver: Option<String>,
+        /// The N-th newest of the history, as `gains show` numbers it [default: the newest that a promotion replaced]
+        #[arg(long, value_name = "N")]
+        to: Option<usize>,
     },
 }
 

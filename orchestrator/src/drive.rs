@@ -3,13 +3,13 @@
 use std::fs;
 use std::path::Path;
 
-use config::{Gains, RunConfig, SweepKind, SweepPlan, check_gains};
+use config::{Gains, RunConfig, SweepKind, SweepPlan, TunedGains, check_gains};
 use serde_json::Value;
 
 use crate::Failure;
 use crate::cli::DriveArgs;
 use crate::setup::{self, Ended};
-use crate::sweep::{parse_sets, sweep};
+use crate::sweep::{Kind, parse_sets, sweep};
 use crate::tables;
 
 /// Drives once.
@@ -25,28 +25,86 @@ pub fn drive(args: &DriveArgs) -> Result<Ended, Failure> {
         layers.put("--realtime", "run.realtime", true)?;
     }
     let mut config = layers.resolve()?;
-    let set = choose(args, &config)?;
+    let (set, origin) = choose(args, &config)?;
+    let note = describe(&config, &set, &origin);
     config.run.fleet = 1;
     let realtime = config.run.realtime;
     let plan = SweepPlan { kind: SweepKind::Drive, repeats: 0, realtime, sets: vec![set] };
-    let name = format!("drive-{}", config.maneuver);
-    sweep(&args.setup, args.adapter.as_deref(), config, plan, &name, "drive", tables::print_drive)
+    let kind = Kind {
+        name: "drive",
+        print: tables::print_drive,
+        vehicle: args.adapter.as_deref(),
+        note: Some(&note),
+    };
+    sweep(&args.setup, config, plan, kind)
 }
 
-/// The gains to drive with: named ones, those of trainings, or the paper's.
-fn choose(args: &DriveArgs, config: &RunConfig) -> Result<Vec<Gains>, Failure> {
+/// The gains to drive with, and where they come from: named ones, those of trainings, those that were promoted to the
+/// vehicle, or the paper's.
+fn choose(args: &DriveArgs, config: &RunConfig) -> Result<(Vec<Gains>, String), Failure> {
     if let Some(text) = &args.gains {
-        return Ok(parse_sets(std::slice::from_ref(text), config)?.remove(0));
+        let set = parse_sets(std::slice::from_ref(text), config)?.remove(0);
+        return Ok((set, "--gains".to_owned()));
     }
     if !args.from.is_empty() {
-        return from_trainings(&args.from, config);
+        let names: Vec<String> = args.from.iter().map(|run| run.display().to_string()).collect();
+        return Ok((from_trainings(&args.from, config)?, names.join(", ")));
     }
+    if let Some(promoted) = promoted(config) {
+        return Ok(promoted);
+    }
+    let missing = missing(config);
     let chosen = config.paper_rows().find(|row| row.chosen);
-    chosen.map(|row| row.gains.clone()).ok_or_else(|| {
-        let why = "the paper has no gains for this path; name some with --gains Kv,Kl,Ks,Ki, or a training with \
-                   --from RUN";
-        Failure::User(why.to_owned())
+    let paper = chosen.map(|row| (row.gains.clone(), format!("the paper{missing}")));
+    paper.ok_or_else(|| {
+        Failure::User(format!(
+            "the paper has no gains for this path{missing}; name some with --gains Kv,Kl,Ks,Ki, or a training with \
+             --from RUN"
+        ))
     })
+}
+
+/// The gains that were promoted to the vehicle: for each manoeuvre that is due, or for the path as a whole.
+fn promoted(config: &RunConfig) -> Option<(Vec<Gains>, String)> {
+    let of = |maneuver: &str| config.vehicle.gains.get(maneuver);
+    let due = config.maneuvers_due();
+    let sets: Vec<&TunedGains> = match due.iter().map(|name| of(name)).collect() {
+        Some(sets) => sets,
+        None => vec![of(&config.maneuver)?],
+    };
+    let origins: Vec<String> = sets
+        .iter()
+        .map(|set| match &set.provenance {
+            Some(it) => format!("run {}, digest {:.12}", it.run, it.digest),
+            None => "by hand".to_owned(),
+        })
+        .collect();
+    let origin = format!("{} ({})", config.vehicle_preset, origins.join("; "));
+    Some((sets.into_iter().map(TunedGains::gains).collect(), origin))
+}
+
+/// Which promoted gains were of no use, and why.
+fn missing(config: &RunConfig) -> String {
+    let held = &config.vehicle.gains;
+    if held.is_empty() {
+        return String::new();
+    }
+    let names: Vec<&str> =
+        config.maneuvers_due().into_iter().filter(|name| !held.contains_key(*name)).collect();
+    format!(", as {} has none for {}", config.vehicle_preset, names.join(", "))
+}
+
+/// Which gains a drive takes, and where from.
+fn describe(config: &RunConfig, set: &[Gains], origin: &str) -> String {
+    let numbers = |gains: &Gains| gains.to_array().map(tables::trim).join(" ");
+    let each: Vec<String> = match set {
+        [one] => vec![numbers(one)],
+        _ => {
+            let due = config.maneuvers_due();
+            due.iter().zip(set).map(|(name, gains)| format!("{name} {}", numbers(gains))).collect()
+        }
+    };
+    format!("gains {} from {origin}", each.join(", "))
 }
 
 /// The tuned gains of trainings: of a single one for the whole path, or of one for each manoeuvre that is due.

@@ -83,6 +83,19 @@ pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
     }
 }
 
+/// Holds off whoever would go on with the training in a folder, without a trace; refused if a run lives there.
+pub(crate) fn look_into(folder: &Path) -> Result<Option<fs::File>, Failure> {
+    let Ok(file) = fs::File::open(folder.join("lock")) else { return Ok(None) };
+    let fail = |why: &str| Err(Failure::User(format!("{}: {why}", folder.display())));
+    match file.try_lock_shared() {
+        Ok(()) => Ok(Some(file)),
+        Err(fs::TryLockError::WouldBlock) => {
+            fail("a living run trains in this folder; wait for its end, or `pathtune stop` it")
+        }
+        Err(fs::TryLockError::Error(error)) => fail(&format!("cannot be locked: {error}")),
+    }
+}
+
 /// Removes an output folder in which nothing has happened yet.
 pub(crate) fn unmake_folder(folder: &Path) {
     for name in ["config.toml", "launch.toml", "sweep.toml", "lock", "logs/orchestrator.log"] {

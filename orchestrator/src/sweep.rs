@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
 use crate::result::write_result;
 use crate::setup::{self, Ended, Folder};
-use crate::terminal::say;
+use crate::terminal::{say, tell};
 use crate::train::run_or_unmake;
 use crate::{Failure, tables};
 
@@ -32,8 +32,7 @@ pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
     fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
     let plan =
         SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, realtime: false, sets };
-    let name = format!("validate-{}", config.maneuver);
-    sweep(&args.setup, None, config, plan, &name, "validate", tables::print_validation)
+    sweep(&args.setup, config, plan, Kind::new("validate", tables::print_validation))
 }
 
 /// Drives every gain set of the grid without noise.
@@ -54,8 +53,7 @@ pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
     let drives = config.grid.len() + sets.len() + 1;
     fill_fleet(&mut config, &args.setup, drives);
     let plan = SweepPlan { kind: SweepKind::Grid, repeats: 0, realtime: false, sets };
-    let name = format!("grid-{}", config.maneuver);
-    sweep(&args.setup, None, config, plan, &name, "grid", tables::print_grid)
+    sweep(&args.setup, config, plan, Kind::new("grid", tables::print_grid))
 }
 
 /// A fleet in which as many drives as possible are made at once, unless the user wants another.
@@ -82,29 +80,48 @@ pub(crate) fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec
         .collect()
 }
 
-/// Drives a list, and prints what it comes to. `vehicle` is one of our services in the vehicle's role, if it is not to
-/// be the usual one.
+/// What is particular to a command that makes the drives of a plan.
+pub(crate) struct Kind<'a> {
+    /// Its name.
+    pub(crate) name: &'a str,
+    /// Prints what the drives have come to.
+    pub(crate) print: fn(&RunConfig, &Value) -> Result<(), Failure>,
+    /// One of our services in the vehicle's role, if it is not to be the usual one.
+    pub(crate) vehicle: Option<&'a str>,
+    /// Said before the first drive.
+    pub(crate) note: Option<&'a str>,
+}
+
+impl<'a> Kind<'a> {
+    fn new(name: &'a str, print: fn(&RunConfig, &Value) -> Result<(), Failure>) -> Self {
+        Self { name, print, vehicle: None, note: None }
+    }
+}
+
+/// Makes the drives of a plan, and prints what they have come to.
 pub(crate) fn sweep(
     args: &SetupArgs,
-    vehicle: Option<&str>,
     config: RunConfig,
     plan: SweepPlan,
-    name: &str,
-    kind: &str,
-    print: fn(&RunConfig, &Value) -> Result<(), Failure>,
+    kind: Kind,
 ) -> Result<Ended, Failure> {
     let mut launch = setup::launch(args, Some("schedule"))?;
-    if let Some(service) = vehicle {
+    if let Some(service) = kind.vehicle {
         launch.fill(Role::Vehicle, service)?;
     }
-    let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(name))?;
+    let name = format!("{}-{}", kind.name, config.maneuver);
+    let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(&name))?;
+    // Behind every check of what the user asked for: a mistake is told in one line.
+    if let Some(note) = kind.note.filter(|_| !ready.plan.quiet) {
+        tell!("{note}");
+    }
     let facts = run_or_unmake(&ready, true)?;
     let plan = &ready.plan;
-    let result = write_result(&plan.folder, kind, &plan.config, &facts)?;
+    let result = write_result(&plan.folder, kind.name, &plan.config, &facts)?;
     if args.json {
         say!("{}", serde_json::to_string_pretty(&result).context("result.json")?);
     } else {
-        print(&plan.config, &result)?;
+        (kind.print)(&plan.config, &result)?;
     }
     Ok(Ended { folder: plan.folder.clone(), json: args.json })
 }

@@ -301,7 +301,7 @@ fn gains_of(value: &Value) -> Gains {
 }
 
 /// A number with so many digits behind the point; a dash where there is none.
-fn digits(value: &Value, count: usize) -> String {
+pub(crate) fn digits(value: &Value, count: usize) -> String {
     value.as_f64().map_or("–".to_owned(), |number| format!("{number:.count$}"))
 }
 
@@ -316,7 +316,7 @@ fn words(value: &Value) -> String {
 }
 
 /// A gain with as many digits as it needs.
-fn trim(gain: f64) -> String {
+pub(crate) fn trim(gain: f64) -> String {
     let text = format!("{gain:.4}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }

@@ -178,8 +178,9 @@ impl Gate {
     /// Goes as near to a wanted speed and steering angle as the limits allow, slowing down by at most `braking_mps2`.
     fn shape(&mut self, dt_s: f64, wanted_mps: f64, braking_mps2: f64, wanted_rad: f64) -> Passed {
         let limits = self.limits;
-        // A time that is none is the shortest.
-        let dt_s = if dt_s > SHORTEST_S { dt_s.min(LONGEST_S) } else { SHORTEST_S };
+        // In two steps, because a clamp would keep a time that is no number.
+        let at_least_s = dt_s.max(SHORTEST_S);
+        let dt_s = at_least_s.min(LONGEST_S);
         let (floor_mps, cap_mps) = limits.speeds_mps(self.steering_rad);
         let target_mps = wanted_mps.max(floor_mps).min(cap_mps);
         let gentle_mps =

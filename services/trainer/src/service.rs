@@ -335,11 +335,12 @@ fn to_record(report: &DriveReport) -> DriveRecord {
     }
 }
 
-/// Hash of everything that decides a training; fleet size and memory do not.
+/// Hash of everything that decides a training; fleet size, memory and gains that were promoted before do not.
 fn fingerprint(config: &RunConfig) -> String {
     let mut config = config.clone();
     config.run.fleet = 0;
     config.run.memo = true;
+    config.vehicle.gains.clear();
     let json = serde_json::to_vec(&config).expect("a configuration is plain data");
     to_hex(&Sha256::digest(&json))
 }

@@ -1,0 +1,309 @@
+//! Gains that were promoted to a vehicle, as they stand in its file below `gains.MANEUVER`.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use crate::Gains;
+use crate::validate::{Problem, check_gains, within};
+
+/// The tuned gains of a vehicle for one manoeuvre.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TunedGains {
+    /// Linear velocity gain, 1/s.
+    pub kv: f64,
+    /// Linear gain on the cross-track error, rad/(m·s).
+    pub kl: f64,
+    /// Steering gain on the heading error, 1/s.
+    pub ks: f64,
+    /// Low-pass filter gain, without unit.
+    pub ki: f64,
+    /// Where they come from; gains written by hand have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub provenance: Option<Provenance>,
+    /// What stood here before, the newest last.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub history: Vec<PastGains>,
+}
+
+impl TunedGains {
+    /// The gains alone.
+    pub fn gains(&self) -> Gains {
+        Gains { kv: self.kv, kl: self.kl, ks: self.ks, ki: self.ki }
+    }
+}
+
+/// Gains that stood in a vehicle's file before.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PastGains {
+    /// Linear velocity gain, 1/s.
+    pub kv: f64,
+    /// Linear gain on the cross-track error, rad/(m·s).
+    pub kl: f64,
+    /// Steering gain on the heading error, 1/s.
+    pub ks: f64,
+    /// Low-pass filter gain, without unit.
+    pub ki: f64,
+    /// When they were replaced (RFC 3339).
+    pub replaced_at: String,
+    /// What replaced them.
+    pub replaced_by: Replacement,
+    /// Where they come from; gains written by hand have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub provenance: Option<Provenance>,
+}
+
+impl PastGains {
+    /// The gains alone.
+    pub fn gains(&self) -> Gains {
+        Gains { kv: self.kv, kl: self.kl, ks: self.ks, ki: self.ki }
+    }
+}
+
+/// What replaced gains.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Replacement {
+    /// Gains of a training.
+    Promotion,
+    /// Older gains: these ones were given up.
+    Rollback,
+}
+
+impl Replacement {
+    /// As it stands in the file.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Promotion => "promotion",
+            Self::Rollback => "rollback",
+        }
+    }
+}
+
+/// The training that gains come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// Digest of the training.
+    pub digest: String,
+    /// When they were promoted (RFC 3339).
+    pub promoted_at: String,
+    /// Name of the run's folder.
+    pub run: String,
+    /// The manoeuvre that was trained.
+    pub maneuver: String,
+    /// Name of the vehicle that was trained with.
+    pub vehicle: String,
+    /// Seed of the training.
+    pub seed: u64,
+    /// Its learning rates.
+    pub alphas: Vec<f64>,
+    /// Whether there was noise on the odometry.
+    pub noise: bool,
+    /// Distance of the mean errors, noise-free.
+    pub distance: f64,
+    /// Mean squared error, noise-free.
+    pub mse_m2: f64,
+    /// Sets of the grid.
+    pub grid_size: u64,
+    /// Rank in the grid by the distance, noise-free.
+    pub rank_distance: u64,
+    /// Rank in the grid by the mean distance under noise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rank_mean_distance: Option<u64>,
+    /// Lower end of the bootstrap interval of the mean distance under noise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_distance_low: Option<f64>,
+    /// Its upper end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_distance_high: Option<f64>,
+    /// Version of pathtune that promoted them.
+    pub pathtune: String,
+}
+
+/// The longest text of a provenance.
+const MAX_TEXT: usize = 300;
+
+pub(crate) fn validate(gains: &BTreeMap<String, TunedGains>) -> Result<(), Problem> {
+    for (maneuver, set) in gains {
+        let key = format!("vehicle.gains.{maneuver}");
+        if maneuver.is_empty() || maneuver.len() > 40 || maneuver.chars().any(char::is_control) {
+            let problem = "must be below a name of 1 to 40 characters on one line".to_owned();
+            return Err((key, problem));
+        }
+        check_set(&key, set.gains(), set.provenance.as_ref())?;
+        for (index, past) in set.history.iter().enumerate() {
+            let key = format!("{key}.history[{index}]");
+            check_set(&key, past.gains(), past.provenance.as_ref())?;
+            check_text(&key, "replaced_at", &past.replaced_at)?;
+        }
+    }
+    Ok(())
+}
+
+fn check_set(key: &str, gains: Gains, provenance: Option<&Provenance>) -> Result<(), Problem> {
+    check_gains(gains).map_err(|(name, problem)| (format!("{key}.{name}"), problem))?;
+    let Some(it) = provenance else { return Ok(()) };
+    let key = format!("{key}.provenance");
+    for (name, text) in [
+        ("digest", &it.digest),
+        ("promoted_at", &it.promoted_at),
+        ("run", &it.run),
+        ("maneuver", &it.maneuver),
+        ("vehicle", &it.vehicle),
+        ("pathtune", &it.pathtune),
+    ] {
+        check_text(&key, name, text)?;
+    }
+    for (name, number) in [
+        ("distance", Some(it.distance)),
+        ("mse_m2", Some(it.mse_m2)),
+        ("mean_distance_low", it.mean_distance_low),
+        ("mean_distance_high", it.mean_distance_high),
+    ] {
+        within(&format!("{key}.{name}"), number.unwrap_or_default(), 0.0, 1e12)?;
+    }
+    Ok(())
+}
+
+fn check_text(key: &str, name: &str, text: &str) -> Result<(), Problem> {
+    if text.len() <= MAX_TEXT && !text.chars().any(char::is_control) {
+        return Ok(());
+    }
+    let problem = format!("must be a text of at most {MAX_TEXT} bytes on one line");
+    Err((format!("{key}.{name}"), problem))
+}
+
+/// Whether `key` is that of promoted gains, in a document whose other keys are `known`. No preset has any, so that
+/// they cannot be found there; what stands below is checked when it is parsed.
+pub(crate) fn is_map(known: &Table, key: &str) -> bool {
+    match key {
+        "vehicle.gains" => known.contains_key("vehicle"),
+        // A vehicle's own file.
+        "gains" => known.contains_key("wheelbase_m"),
+        _ => false,
+    }
+}
+
+/// Lays promoted gains on those that are there: those of a manoeuvre are replaced as a whole.
+pub(crate) fn lay_on(values: &mut Table, key: &str, above: Value) {
+    let values = match key.split_once('.') {
+        Some((head, _)) => values.get_mut(head).and_then(Value::as_table_mut),
+        None => Some(values),
+    };
+    let Some(values) = values else { return };
+    match (values.get_mut("gains"), above) {
+        (Some(Value::Table(below)), Value::Table(above)) => below.extend(above),
+        (_, above) => {
+            values.insert("gains".to_owned(), above);
+        }
+    }
+}
+
+/// Collects where `item` and everything below it stands.
+pub(crate) fn note_places(
+    item: &toml_edit::Item,
+    key: &str,
+    place: &dyn Fn(Option<std::ops::Range<usize>>) -> String,
+    places: &mut BTreeMap<String, String>,
+) {
+    if let Some(tables) = item.as_array_of_tables() {
+        for (index, table) in tables.iter().enumerate() {
+            note_table(table, &format!("{key}[{index}]"), place, places);
+        }
+    } else if let Some(array) = item.as_array() {
+        for (index, value) in array.iter().enumerate() {
+            let key = format!("{key}[{index}]");
+            places.insert(key.clone(), place(value.span()));
+            if let Some(table) = value.as_inline_table() {
+                note_table(table, &key, place, places);
+            }
+        }
+    } else if let Some(table) = item.as_table_like() {
+        note_table(table, key, place, places);
+    }
+}
+
+fn note_table(
+    table: &dyn toml_edit::TableLike,
+    above: &str,
+    place: &dyn Fn(Option<std::ops::Range<usize>>) -> String,
+    places: &mut BTreeMap<String, String>,
+) {
+    for (name, item) in table.iter() {
+        let key = format!("{above}.{name}");
+        let span = table.key(name).and_then(toml_edit::Key::span).or_else(|| item.span());
+        places.insert(key.clone(), place(span));
+        note_places(item, &key, place, places);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Layers, RunConfig};
+
+    const FILE: &str = "name = 'mine'\n\n[gains.lane_change]\nkv = 3.0\nkl = 21\nks = 21.0\nki = 0.7\n\n\
+        [[gains.lane_change.history]]\nkv = 1.0\nkl = 2.0\nks = 3.0\nki = 0.5\n\
+        replaced_at = '2025-01-01T00:00:00Z'\nreplaced_by = 'promotion'\n";
+
+    fn resolve(text: &str) -> Result<RunConfig, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("mine.toml");
+        std::fs::write(&file, text).unwrap();
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers
+            .set_vehicle("--vehicle", file.to_str().unwrap())
+            .and_then(|()| layers.resolve())
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn they_are_read_and_survive_the_resolved_configuration() {
+        let config = resolve(FILE).unwrap();
+        let set = &config.vehicle.gains["lane_change"];
+        assert_eq!((set.kv, set.kl, set.history[0].ki), (3.0, 21.0, 0.5));
+        let text = toml::to_string(&config).unwrap();
+        assert_eq!(RunConfig::from_resolved(&text).unwrap(), config);
+        let mut again = Layers::maneuver("lane_change").unwrap();
+        let text = text.replace(&config.vehicle_preset, "tesla_model_3");
+        again.add_document("resolved.toml", &text).unwrap();
+        assert_eq!(again.resolve().unwrap().vehicle, config.vehicle);
+    }
+
+    #[test]
+    fn a_configuration_without_them_says_nothing_of_them() {
+        let config = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+        assert!(!toml::to_string(&config).unwrap().contains("[vehicle.gains"));
+    }
+
+    #[test]
+    fn mistakes_name_file_line_and_key() {
+        let check = |text: &str, parts: &[&str]| {
+            let message = resolve(text).unwrap_err();
+            for part in parts {
+                assert!(message.contains(part), "{message:?} lacks {part:?}");
+            }
+            assert!(!message.contains('\n'), "{message:?}");
+        };
+        let with = |old: &str, new: &str| FILE.replacen(old, new, 1);
+        check(&with("kv", "kx"), &["mine.toml:4", "gains.lane_change.kx", "unknown field"]);
+        check(&with("21.0", "-2"), &["mine.toml:6", "vehicle.gains.lane_change.ks", "is -2"]);
+        check(&with("0.7", "'x'"), &["mine.toml:7", "gains.lane_change.ki", "string"]);
+        check(&with("kv = 3.0\n", ""), &["mine.toml:3", "gains.lane_change", "missing field `kv`"]);
+        check(&with("ki = 0.5", "ki = 1.5"), &["mine.toml:13", "history[0].ki", "[0, 1]"]);
+        check(&with("'promotion'", "'x'"), &["mine.toml:15", "replaced_by", "rollback"]);
+        check("gains = 3", &["mine.toml:1", "vehicle.gains"]);
+        check("gains.'' = {kv=1,kl=1,ks=1,ki=0.5}", &["mine.toml:1", "vehicle.gains"]);
+        check("gain = 3", &["mine.toml:1", "unknown key"]);
+    }
+
+    #[test]
+    fn only_a_vehicle_has_them() {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        let error = layers.add_document("my.toml", "[gains.x]\nkv = 1.0").unwrap_err();
+        assert!(error.to_string().contains("my.toml:1: gains: unknown key"), "{error}");
+    }
+}

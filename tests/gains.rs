@@ -1,0 +1,279 @@
+//! Gains of a training, promoted to a vehicle's file: with provenance, all or nothing, and back.
+
+mod support;
+
+use std::fs;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::process::Output;
+use std::time::Duration;
+
+use config::{Gains, Layers, Vehicle};
+use serde_json::Value;
+use support::Sandbox;
+
+const CAR: &str = "# My car, as measured.\nname = \"mine\"  # since spring\n\n[safety]\n# Softly.\njerk_limit_mps3 = 60.0\n# To be measured again.\n";
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Runs `pathtune gains` to a good end; what it printed.
+fn gains(sandbox: &Sandbox, args: &[&str]) -> String {
+    let output = sandbox.run(&[&["gains"], args].concat());
+    assert!(output.status.success(), "{args:?}: {}", stderr(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs `pathtune gains` with a mistake: one line with all parts, and nothing has changed.
+fn refused(sandbox: &Sandbox, args: &[&str], parts: &[&str]) {
+    let file = sandbox.path("car.toml");
+    let before = fs::read(&file).ok();
+    let output = sandbox.run(&[&["gains"], args].concat());
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(64), "{args:?}: {said}");
+    assert_eq!(said.trim_end().lines().count(), 1, "{args:?}: {said}");
+    for part in parts {
+        assert!(said.contains(part), "{args:?}: {part:?} is missing in {said:?}");
+    }
+    assert_eq!(fs::read(&file).ok(), before, "{args:?} has changed the file");
+    assert!(!sandbox.path(".car.toml.part").exists());
+}
+
+fn car(sandbox: &Sandbox) -> Vehicle {
+    Layers::vehicle_of_file(sandbox.path("car.toml").to_str().unwrap()).unwrap()
+}
+
+fn gains_of(value: &Value) -> Gains {
+    Gains::from_array(Gains::NAMES.map(|name| value[name].as_f64().unwrap()))
+}
+
+/// A sandbox with a car and a short training; its result.
+fn trained() -> (Sandbox, Value) {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("car.toml"), CAR).unwrap();
+    let result = sandbox.train("first", &["lane_change", "--episodes", "2"]);
+    (sandbox, result)
+}
+
+#[test]
+fn gains_are_promoted_listed_shown_and_driven() {
+    let (sandbox, result) = trained();
+    let dry = gains(&sandbox, &["promote", "first", "car.toml", "--dry-run"]);
+    assert!(dry.contains("lane_change would be promoted"), "{dry}");
+    assert_eq!(fs::read_to_string(sandbox.path("car.toml")).unwrap(), CAR);
+    assert!(gains(&sandbox, &["list", "car.toml"]).contains("no gains yet"));
+    // Until then the paper's are driven.
+    let plain = sandbox.run(&["drive", "lane_change", "--vehicle", "car.toml", "--out", "plain"]);
+    assert!(stderr(&plain).contains("from the paper"), "{}", stderr(&plain));
+
+    let promoted = sandbox.run(&["gains", "promote", "first", "car.toml"]);
+    assert!(promoted.status.success(), "{}", stderr(&promoted));
+    let bounds = result["on_bound"].as_array().unwrap();
+    assert_eq!(stderr(&promoted).contains("warning: on a bound"), !bounds.is_empty());
+    let text = fs::read_to_string(sandbox.path("car.toml")).unwrap();
+    assert!(text.starts_with(CAR), "{text}");
+    let set = &car(&sandbox).gains["lane_change"];
+    let origin = set.provenance.clone().unwrap();
+    assert_eq!(set.gains(), gains_of(&result["gains"]));
+    assert_eq!(result["digest"], *origin.digest);
+    assert_eq!((&*origin.run, &*origin.maneuver), ("first", "lane_change"));
+    assert_eq!((&*origin.vehicle, origin.noise), ("tesla_model_3", false));
+    assert_eq!(result["grid"]["rank_distance"], origin.rank_distance);
+    assert_eq!(result["distance"], origin.distance);
+
+    let short = &origin.digest[..12];
+    let listed = gains(&sandbox, &["list", "car.toml"]);
+    assert!(listed.contains("lane_change") && listed.contains(short), "{listed}");
+    let listed: Value =
+        serde_json::from_str(&gains(&sandbox, &["list", "car.toml", "--json"])).unwrap();
+    assert_eq!(listed["gains"]["lane_change"]["provenance"]["digest"], result["digest"]);
+    let shown = gains(&sandbox, &["show", "car.toml", "lane_change"]);
+    assert!(shown.contains("seed") && shown.contains(&origin.digest), "{shown}");
+    let shown: Value =
+        serde_json::from_str(&gains(&sandbox, &["show", "car.toml", "lane_change", "--json"]))
+            .unwrap();
+    assert_eq!(gains_of(&shown["gains"]), set.gains());
+
+    let args = ["drive", "lane_change", "--vehicle", "car.toml", "--out", "driven"];
+    let driven = sandbox.run(&args);
+    let said = stderr(&driven);
+    assert!(driven.status.success(), "{said}");
+    assert!(said.contains("from car.toml (run first, digest") && said.contains(short), "{said}");
+    assert_eq!(sandbox.result("driven")["gains"][0], result["gains"]);
+    let quiet = sandbox.run(&["drive", "lane_change", "--vehicle", "car.toml", "-q"]);
+    assert_eq!(stderr(&quiet), "");
+    // A path with a manoeuvre that the car has no gains for.
+    let args = ["drive", "circuit", "--vehicle", "car.toml", "--out", "circuit"];
+    let said = stderr(&sandbox.run(&args));
+    assert!(said.contains("from the paper, as car.toml has none for roundabout"), "{said}");
+    // The car is trained on, and the training is gone on with.
+    let again =
+        sandbox.train("again", &["lane_change", "--episodes", "2", "--vehicle", "car.toml"]);
+    let output = sandbox.run(&["train", "--resume", "again", "-q"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(sandbox.result("again")["digest"], again["digest"]);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_large_change_is_refused_then_forced_and_rolled_back() {
+    let (sandbox, _) = trained();
+    let hand = "\n[gains.lane_change]\nkv = 1e-1 # by feel\nkl = 2.10\nks = 1_000\nki = 0.1\n";
+    let by_hand = format!("{CAR}{hand}");
+    fs::write(sandbox.path("car.toml"), &by_hand).unwrap();
+    let parts = ["car.toml", "gains.lane_change", "kv from 0.1 to", "%", "--force"];
+    refused(&sandbox, &["promote", "first", "car.toml"], &parts);
+    refused(&sandbox, &["rollback", "car.toml"], &["lane_change", "nothing stood there before"]);
+    let forced = gains(&sandbox, &["promote", "first", "car.toml", "--force"]);
+    assert!(forced.contains("kv 0.1 ->"), "{forced}");
+    let first = car(&sandbox).gains["lane_change"].clone();
+    let again = gains(&sandbox, &["promote", "first", "car.toml"]);
+    assert!(again.contains("has these gains already"), "{again}");
+
+    gains(&sandbox, &["rollback", "car.toml"]);
+    let text = fs::read_to_string(sandbox.path("car.toml")).unwrap();
+    assert!(text.starts_with(&by_hand), "{text}");
+    let set = car(&sandbox).gains["lane_change"].clone();
+    assert_eq!((set.provenance, set.history.len()), (None, 1));
+    refused(&sandbox, &["rollback", "car.toml"], &["--to N brings back"]);
+    refused(&sandbox, &["rollback", "car.toml", "--to", "2"], &["--to 2", "history holds 1"]);
+    refused(&sandbox, &["rollback", "car.toml", "roundabout"], &["roundabout", "lane_change"]);
+    gains(&sandbox, &["rollback", "car.toml", "lane_change", "--to", "1"]);
+    let set = car(&sandbox).gains["lane_change"].clone();
+    assert_eq!((set.gains(), set.provenance), (first.gains(), first.provenance));
+}
+
+#[test]
+fn what_is_no_finished_training_is_refused() {
+    let (sandbox, _) = trained();
+    let promote =
+        |run: &str, parts: &[&str]| refused(&sandbox, &["promote", run, "car.toml"], parts);
+    promote("nowhere", &["nowhere"]);
+    promote("car.toml", &["car.toml", "folder"]);
+    sandbox.json("driven", &["drive", "lane_change"]);
+    promote("driven", &["driven", "a run of drive"]);
+
+    // A training that lives has no result; one with a result is gone on with.
+    let mut training = sandbox.start_training("living", &["lane_change", "--no-memo"]);
+    training.wait_until_it_drives();
+    promote("living", &["living", "a living run trains in this folder"]);
+    training.interrupt();
+    training.finish();
+    promote("living", &["living", "is no finished training", "--resume living"]);
+    fs::copy(sandbox.path("first/result.json"), sandbox.path("living/result.json")).unwrap();
+    promote("living", &["living", "result.json does not belong to the journal"]);
+    fs::remove_file(sandbox.path("first/journal")).unwrap();
+    promote("first", &["first", "is no finished training", "journal"]);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn what_is_no_file_of_the_users_is_refused() {
+    let (sandbox, _) = trained();
+    let promote = |car: &str, parts: &[&str]| refused(&sandbox, &["promote", "first", car], parts);
+    promote("tesla_model_3", &["is a preset", "pathtune config init"]);
+    promote("none.toml", &["none.toml", "no such file", "pathtune config init"]);
+    promote(".", &["no vehicle's file"]);
+    refused(&sandbox, &["list", "f1tenth"], &["is a preset", "vehicles/f1tenth.toml"]);
+
+    // Another car than the training's.
+    fs::write(sandbox.path("car.toml"), format!("wheelbase_m = 3.0\n{CAR}")).unwrap();
+    promote("car.toml", &["wheelbase_m is 3", "2.875", "--force"]);
+    gains(&sandbox, &["promote", "first", "car.toml", "--force"]);
+
+    let with = |set: &str| fs::write(sandbox.path("car.toml"), format!("{CAR}\n{set}")).unwrap();
+    with("[gains.lane_change]\nkv = 1.0\nkl = 1.0\nks = 1.0\nki = 0.5\nkd = 2.0\n");
+    promote("car.toml", &["car.toml:14", "vehicle.gains.lane_change.kd", "unknown"]);
+    refused(&sandbox, &["list", "car.toml"], &["car.toml:14", "kd"]);
+    with("[gains.lane_change]\nkv = -1.0\nkl = 1.0\nks = 1.0\nki = 0.5\n");
+    refused(&sandbox, &["list", "car.toml"], &["car.toml:10", "kv", "is -1"]);
+    with("[gain.lane_change]\nkv = 1.0\n");
+    refused(&sandbox, &["list", "car.toml"], &["car.toml:9", "gain", "unknown key"]);
+    fs::write(sandbox.path("car.toml"), "name = ").unwrap();
+    promote("car.toml", &["car.toml:1"]);
+}
+
+#[test]
+fn permissions_and_links_stay_and_a_read_only_file_is_refused() {
+    let (sandbox, _) = trained();
+    let file = sandbox.path("car.toml");
+    let chmod = |mode| fs::set_permissions(&file, fs::Permissions::from_mode(mode)).unwrap();
+    chmod(0o440);
+    refused(&sandbox, &["promote", "first", "car.toml"], &["car.toml", "is read-only", "chmod"]);
+    chmod(0o664);
+    fs::create_dir(sandbox.path("links")).unwrap();
+    symlink("../car.toml", sandbox.path("links/link.toml")).unwrap();
+    // What a killed predecessor left, or somebody else laid there.
+    fs::write(sandbox.path("other"), "other").unwrap();
+    symlink("other", sandbox.path(".car.toml.part")).unwrap();
+    gains(&sandbox, &["promote", "first", "links/link.toml"]);
+    assert!(fs::symlink_metadata(sandbox.path("links/link.toml")).unwrap().is_symlink());
+    assert!(!fs::symlink_metadata(&file).unwrap().is_symlink());
+    assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o664);
+    assert_eq!(car(&sandbox).gains.len(), 1);
+    assert_eq!(fs::read_to_string(sandbox.path("other")).unwrap(), "other");
+    assert_eq!(fs::read_dir(sandbox.path("links")).unwrap().count(), 1);
+
+    // A folder in which nothing can be written; root can everywhere.
+    if rustix::process::getuid().is_root() {
+        eprintln!("SKIPPED a read-only folder: root writes there");
+        return;
+    }
+    let folder = sandbox.path("closed");
+    fs::create_dir(&folder).unwrap();
+    fs::write(folder.join("car.toml"), CAR).unwrap();
+    fs::set_permissions(&folder, fs::Permissions::from_mode(0o555)).unwrap();
+    let parts = ["closed/car.toml", "cannot be written"];
+    refused(&sandbox, &["promote", "first", "closed/car.toml"], &parts);
+    fs::set_permissions(&folder, fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+#[test]
+fn whoever_is_killed_leaves_the_old_file_or_the_new_one() {
+    let (sandbox, first) = trained();
+    let second = sandbox.train("second", &["lane_change", "--episodes", "2", "--seed", "7"]);
+    assert_ne!(first["digest"], second["digest"]);
+    gains(&sandbox, &["promote", "first", "car.toml"]);
+    let file = sandbox.path("car.toml");
+    let (mut killed, mut replaced) = (0, 0);
+    for round in 0..150u64 {
+        let before = fs::read_to_string(&file).unwrap();
+        let run = if before.lines().any(|line| line == "run = \"first\"") && round % 2 == 0 {
+            "second"
+        } else {
+            "first"
+        };
+        let args = ["gains", "promote", run, "car.toml", "--force"];
+        let mut child = sandbox.command(&args).spawn().unwrap();
+        std::thread::sleep(Duration::from_micros(round * 7919 % 9000));
+        child.kill().unwrap();
+        killed += usize::from(!child.wait().unwrap().success());
+        let after = fs::read_to_string(&file).unwrap();
+        assert!(after.starts_with(CAR), "{after}");
+        let set = car(&sandbox).gains["lane_change"].clone();
+        if after != before {
+            replaced += 1;
+            assert_eq!(set.provenance.unwrap().run, run);
+            assert!(!set.history.is_empty());
+        }
+    }
+    println!("{killed} of 150 killed, {replaced} had replaced the file");
+    assert!(killed > 0);
+    // Two at a time: one behind the other, and what the killed ones left is gone.
+    let history = |car: &Vehicle| car.gains["lane_change"].history.len();
+    fs::write(&file, CAR).unwrap();
+    gains(&sandbox, &["promote", "first", "car.toml"]);
+    for _ in 0..4 {
+        let before = history(&car(&sandbox));
+        let start = |run| {
+            let args = ["gains", "promote", run, "car.toml", "--force"];
+            sandbox.command(&args).spawn().unwrap()
+        };
+        for child in [start("second"), start("first")] {
+            assert!(child.wait_with_output().unwrap().status.success());
+        }
+        let new = history(&car(&sandbox)) - before;
+        assert!((1..=2).contains(&new), "{new}");
+    }
+    assert!(!sandbox.path(".car.toml.part").exists());
+}
