@@ -125,6 +125,7 @@ fn broken_numbers_are_found() {
 /// Not a test: the process in the vehicle's role.
 #[test]
 #[ignore = "a process of the tests above"]
+#[allow(clippy::zombie_processes, reason = "it is broken on purpose")]
 fn broken_vehicle() {
     let fault = std::env::var(FAULT).unwrap();
     let (mut attachment, bus, config) = join().unwrap();
@@ -284,8 +285,8 @@ impl Broken {
         }
         self.waits = false;
         let mut is_over = true;
-        for index in 0..self.slots.len() {
-            let Command { mut speed_mps, mut steering_rad, flags, .. } = commands[index];
+        for (index, command) in commands.iter().enumerate().take(self.slots.len()) {
+            let Command { mut speed_mps, mut steering_rad, flags, .. } = *command;
             if has(flags, Command::ENDED) && !self.is("no end") {
                 self.slots[index].1.status |= Odometry::ENDED;
             }

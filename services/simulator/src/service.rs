@@ -1,7 +1,7 @@
 //! The simulator's process: the vehicle role in lockstep.
 //!
 //! It publishes odometry k, waits for command k, integrates, and publishes k+1: as fast as the rest of the
-//! ring answers. With `run.realtime` it paces by the clock instead: see [`crate::clocked`].
+//! ring answers. With `run.realtime` it paces by the clock instead: see `clocked`.
 
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
