@@ -102,6 +102,8 @@ pub(crate) struct Pipeline<'a> {
     interrupted: Interrupts,
     /// The vehicle must pace by the clock. Then nothing is driven again: who was restarted joins.
     realtime: bool,
+    /// The vehicle does pace by the clock.
+    by_clock: bool,
     /// State of the gate of each slot, as it was told last.
     gates: Vec<u32>,
     /// Somebody of the ring died, or a message was lost: the batch under way will not end.
@@ -184,6 +186,7 @@ impl<'a> Pipeline<'a> {
             progress,
             interrupted: plan.interrupted.clone(),
             realtime,
+            by_clock: false,
             gates: Vec::new(),
             batch_is_broken: false,
             seen: (0, 0),
@@ -278,6 +281,7 @@ impl<'a> Pipeline<'a> {
                     self.sequencer.limit_fleet(status.capacity as usize);
                     if has(status.pacing, Status::REAL_TIME) {
                         self.sequencer.pace_by_clock();
+                        self.by_clock = true;
                     } else if self.realtime {
                         let why = "--realtime: the vehicle waits for commands instead of pacing by the clock \
                                    (its Status lacks REAL_TIME); leave the option out, or see ipc_types/CONTRACT.md";
@@ -344,10 +348,18 @@ impl<'a> Pipeline<'a> {
                 }
                 let why = describe_reasons(now.reasons);
                 match now.state {
-                    Safety::STOPPING => self.progress.notice(&format!(
+                    Safety::STOPPING if self.realtime => self.progress.notice(&format!(
                         "vehicle {slot} is being stopped: {why}; `pathtune rearm` lets it drive again"
                     )),
-                    Safety::STOPPED => self.progress.notice(&format!("vehicle {slot} stands")),
+                    Safety::STOPPING => {
+                        self.progress.notice(&format!("vehicle {slot} is being stopped: {why}"));
+                    }
+                    Safety::STOPPED => {
+                        self.progress.notice(&format!("vehicle {slot} stands"));
+                        // In a training nobody rearms: the drive is made again from the start.
+                        self.batch_is_broken |=
+                            self.by_clock && !self.realtime && self.sequencer.is_driving();
+                    }
                     _ => tracing::info!(slot, state = now.state, why, "gate"),
                 }
             }
