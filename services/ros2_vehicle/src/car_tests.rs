@@ -13,6 +13,7 @@ fn config(align: Align) -> RunConfig {
     layers.set_vehicle("--vehicle", "ackermann").unwrap();
     let mut config = layers.resolve().unwrap();
     config.vehicle.ros2.align = align;
+    config.vehicle.safety.command_age_limit_s = 0.1;
     config
 }
 
