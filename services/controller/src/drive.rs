@@ -90,11 +90,11 @@ impl DriveController {
         self.law.resume(steering_rad);
     }
 
-    /// Lets the reference's clock start again from rest, where the vehicle stands: at its projection on the path, at
-    /// most `window_m` from where the reference was. The clock had run for `phase` ticks.
-    pub fn restart(&mut self, phase: u64, measured: Pose, window_m: f64, steering_rad: f64) {
+    /// Lets the reference's clock start again from rest, where the vehicle stands: at its projection on the path. The
+    /// clock had run for `phase` ticks.
+    pub fn restart(&mut self, phase: u64, measured: Pose, steering_rad: f64) {
         self.ticks_before += phase;
-        self.reference.restart_at(self.reference.projection_m(measured, window_m));
+        self.reference.restart_at(self.reference.projection_m(measured));
         self.law.resume(steering_rad);
     }
 

@@ -55,8 +55,6 @@ struct Controller {
 /// Ticks for which a restarted controller waits for somebody who knows how the drive stands: the supervisor tells it
 /// at least once a tick, unless it was restarted, too.
 const JOINS_WITHIN: u32 = 20;
-/// A rearmed vehicle is looked for so far along the path from where its reference stood still.
-const RESTART_WINDOW_M: f64 = 20.0;
 
 struct Slot {
     drive: DriveController,
@@ -80,8 +78,10 @@ struct Clock {
     phase: u64,
     /// The tick at which it had run so long; none before the first.
     at_tick: Option<u64>,
-    /// The vehicle is being stopped, or stands: the clock does, too.
+    /// The vehicle is being stopped, or stands: the clock does, too, and starts from rest behind it.
     frozen: bool,
+    /// The gate slows the vehicle down for a moment: the clock waits for it.
+    held: bool,
     /// The drive had begun before this process did: ticks that are still waited for somebody who knows how it stands.
     joins_within: Option<u32>,
 }
@@ -269,7 +269,13 @@ impl Slot {
             report: None,
             joined: false,
             awaited: None,
-            clock: Clock { phase: 0, at_tick: None, frozen: false, joins_within: None },
+            clock: Clock {
+                phase: 0,
+                at_tick: None,
+                frozen: false,
+                held: false,
+                joins_within: None,
+            },
         }
     }
 
@@ -286,7 +292,7 @@ impl Slot {
                 }
                 // The supervisor knows no more than we do: it has been restarted, too.
                 _ if left == 0 => {
-                    self.drive.restart(0, measured, f64::INFINITY, 0.0);
+                    self.drive.restart(0, measured, 0.0);
                     clock.at_tick = Some(tick);
                 }
                 _ => {
@@ -301,14 +307,15 @@ impl Slot {
             let frozen = is_latched(it.state);
             if clock.frozen && !frozen {
                 let steering_rad = finite_or_zero(it.steering_rad);
-                self.drive.restart(clock.phase, measured, RESTART_WINDOW_M, steering_rad);
+                self.drive.restart(clock.phase, measured, steering_rad);
                 (clock.phase, clock.at_tick) = (0, Some(tick));
                 tracing::info!(tick, from_m = self.drive.origin_m(), "rearmed");
             }
             clock.frozen = frozen;
         }
+        clock.held = safety.map_or(clock.held, |it| it.state == Safety::DEGRADED);
         let since = clock.at_tick.map_or(tick, |at| tick.saturating_sub(at));
-        if !clock.frozen {
+        if !(clock.frozen || clock.held) {
             clock.phase += since;
         }
         clock.at_tick = Some(tick);

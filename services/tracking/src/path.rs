@@ -110,8 +110,8 @@ impl Path {
         let mut segments = Vec::with_capacity(config.pieces.len());
         let mut at = Pose::from(config.start);
         let mut from_m = 0.0;
-        for piece in &config.pieces {
-            let (length_m, curvature, turn_rad) = match *piece {
+        for piece in config.pieces.iter().flat_map(parts_of) {
+            let (length_m, curvature, turn_rad) = match piece {
                 Piece::Straight { length_m } => (length_m, 0.0, 0.0),
                 Piece::Diagonal { length_m, offset_m } => {
                     (libm::hypot(length_m, offset_m), 0.0, libm::atan2(offset_m, length_m))
@@ -192,6 +192,21 @@ impl Path {
     }
 }
 
+/// A piece, or the parts of an arc that comes round: on a whole turn a position says nothing of the place along it.
+fn parts_of(piece: &Piece) -> Vec<Piece> {
+    /// The longest arc that is left whole, and the longest of its parts otherwise.
+    const WHOLE_DEG: f64 = 355.0;
+    const PART_DEG: f64 = 180.0;
+    match *piece {
+        Piece::Arc { radius_m, angle_deg } if angle_deg.abs() > WHOLE_DEG => {
+            let parts = (angle_deg.abs() / PART_DEG).ceil();
+            let part = Piece::Arc { radius_m, angle_deg: angle_deg / parts };
+            vec![part; parts as usize]
+        }
+        whole => vec![whole],
+    }
+}
+
 /// An arc from each point to the next one, as many as there are gaps between them.
 ///
 /// Each turns by as much as the path does around it: half of what the chord before it turns into it, and
@@ -254,6 +269,21 @@ mod tests {
         let mut layers = Layers::maneuver("lane_change").unwrap();
         layers.set(&format!("path.pieces={pieces}")).unwrap();
         Path::new(&layers.resolve().unwrap().path)
+    }
+
+    #[test]
+    fn places_on_many_turns_are_told_apart_by_where_the_vehicle_was() {
+        let path = path("[{kind='arc',radius_m=18.0,angle_deg=3600.0}]");
+        let turn_m = 36.0 * std::f64::consts::PI;
+        assert!((path.length_m() - 10.0 * turn_m).abs() < 1e-9);
+        for along_m in [0.0, 1.0, turn_m - 0.5, turn_m, 2.25 * turn_m, 9.9 * turn_m] {
+            let at = path.at(along_m);
+            for near_m in [along_m - 2.0, along_m + 2.0] {
+                let found = path.project(at.x_m, at.y_m, near_m, 3.0);
+                assert!((found.along_m - along_m).abs() < 1e-6, "{along_m}: {found:?}");
+                assert!(found.offset_m.abs() < 1e-9, "{along_m}: {found:?}");
+            }
+        }
     }
 
     const MIXED: &str = "[{kind='straight',length_m=4.0},{kind='arc',radius_m=18.0,angle_deg=200.0},\

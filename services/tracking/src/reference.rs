@@ -76,6 +76,9 @@ impl Reference {
     /// How far from the last projection the next one is looked for, with [`Advance::Projection`].
     const WINDOW_M: f64 = 3.0;
 
+    /// How far from the reference a vehicle is looked for first that has been stopped on its way.
+    const FAR_M: f64 = 20.0;
+
     /// The reference of a configuration, at the start of its path.
     pub fn new(config: &RunConfig) -> Self {
         let path = Path::new(&config.path);
@@ -126,9 +129,12 @@ impl Reference {
         self.origin_m
     }
 
-    /// The place of the path nearest to a pose, at most `window_m` along the path away from the reference.
-    pub fn projection_m(&self, pose: Pose, window_m: f64) -> f64 {
-        self.path.project(pose.x_m, pose.y_m, self.along_m, window_m).along_m
+    /// The place of the path nearest to a pose: near the reference, if the path lies near the pose there, else anywhere.
+    pub fn projection_m(&self, pose: Pose) -> f64 {
+        let within = |window_m| self.path.project(pose.x_m, pose.y_m, self.along_m, window_m);
+        let near = within(Self::FAR_M);
+        let apart_m = libm::hypot(pose.x_m - near.pose.x_m, pose.y_m - near.pose.y_m);
+        if apart_m <= Self::WINDOW_M { near.along_m } else { within(f64::INFINITY).along_m }
     }
 
     /// Progress along the path.
