@@ -3,6 +3,7 @@
 mod support;
 
 use std::fs;
+use std::io::Write;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::process::Command as Program;
 use std::time::{Duration, Instant};
@@ -149,6 +150,36 @@ fn scripted_faults_change_no_byte_and_are_told() {
     };
     assert_eq!(restarts("simulator"), 1);
     assert_eq!(restarts("controller"), 2);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_terminal_that_nobody_reads_holds_up_nobody() {
+    let sandbox = Sandbox::new();
+    let calm = sandbox.train("calm", &TRAINING);
+    // Full to the last byte: whoever writes one more waits until somebody reads.
+    let (unread, mut terminal) = std::io::pipe().unwrap();
+    let capacity = rustix::pipe::fcntl_getpipe_size(&terminal).unwrap();
+    terminal.write_all(&vec![b'.'; capacity]).unwrap();
+    let faults = ["--chaos", "kill controller@drive=3,tick=50", "--out", "held"];
+    let mut command = sandbox.command(&["train"]);
+    let mut training = command.args(with(&faults)).stderr(terminal).spawn().unwrap();
+    let until = Instant::now() + Duration::from_secs(60);
+    let status = loop {
+        match training.try_wait().unwrap() {
+            Some(status) => break status,
+            None if Instant::now() > until => {
+                training.kill().unwrap();
+                panic!("the training waits for its terminal");
+            }
+            None => std::thread::sleep(Duration::from_millis(10)),
+        }
+    };
+    drop(unread);
+    let held = sandbox.result("held");
+    assert!(status.success());
+    assert_eq!(held["recovery"]["injected"], 1, "{}", held["recovery"]);
+    assert_eq!(held["digest"], calm["digest"]);
     sandbox.assert_clean();
 }
 

@@ -108,6 +108,36 @@ fn the_clock_paces_a_replay_and_a_stretch_can_be_chosen() {
 }
 
 #[test]
+fn a_split_recording_is_replayed_from_its_first_file() {
+    let sandbox = Sandbox::new();
+    let args = ["train", "lane_change", "--episodes", "10", "--quiet", "--out", "out"];
+    let split = ["--record", "--record-split", "1M"];
+    assert!(sandbox.run(&[&args[..], &split].concat()).status.success());
+    let part = |number: u32| format!("out/recording-{number:04}.mcap");
+    assert!(sandbox.path(&part(3)).exists());
+    let output = sandbox.run(&["replay", &part(1)]);
+    let (code, out, err) = told(&output);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let drives = sandbox.result("out")["drives"].clone();
+    let driven = drives["driven"].as_u64().unwrap() + drives["beside"].as_u64().unwrap();
+    let compared: u64 = out.split_whitespace().nth(2).unwrap().parse().unwrap();
+    // A fleet's drives are compared together, and each tick once.
+    assert!(compared >= driven * config("lane_change").ticks() / 6, "{out}{drives}");
+    // From the middle nothing can be driven again; and no part may be missing.
+    let refused = |file: String, why: &str| {
+        let (code, out, err) = told(&sandbox.run(&["replay", &file]));
+        assert_eq!(code, Some(64), "{out}{err}");
+        assert!(err.contains(why) && err.trim_end().lines().count() == 1, "{err}");
+    };
+    refused(part(2), "is part 2 of a recording, behind recording-0001.mcap; name the first one");
+    fs::copy(sandbox.path(&part(3)), sandbox.path(&part(2))).unwrap();
+    refused(part(1), "recording-0002.mcap is not part 2");
+    fs::remove_file(sandbox.path(&part(2))).unwrap();
+    refused(part(1), "is continued in recording-0002.mcap");
+    sandbox.assert_clean();
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused() {
     let sandbox = Sandbox::new();
     let file = record(&sandbox, "lane_change", "3,21,21,.7");

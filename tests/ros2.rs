@@ -41,7 +41,7 @@ mod with {
     };
     use runtime::clock::now_ns;
     use runtime::run::{RunNames, segments_of};
-    use runtime::{Attachment, Bus, Inlet, Outlet};
+    use runtime::{Attachment, Bus, Inlet, Outlet, Wait};
     use rustix::process::Signal;
 
     use serde_json::Value;
@@ -100,6 +100,8 @@ mod with {
                 max_len: 1,
                 incarnation: 1,
                 core: None,
+        wait: Wait::default(),
+        fifo: None,
                 parent: std::process::id() as i32,
                 chaos: None,
             };

@@ -519,3 +519,53 @@ constants!(
     /// Bit of `pacing`: stands at the start of the path, ready to be reset.
     pub const AT_START: u32 = 2;
 );
+
+impl Command {
+    /// The names of the bits that are set in [`Command::flags`].
+    pub fn flag_names(flags: u32) -> Vec<&'static str> {
+        let names = [
+            (Self::ENDED, "ended"),
+            (Self::SPEED_LIMITED, "speed_limited"),
+            (Self::STEERING_LIMITED, "steering_limited"),
+            (Self::REJECTED, "rejected"),
+            (Self::ACCELERATION_LIMITED, "acceleration_limited"),
+            (Self::STEERING_RATE_LIMITED, "steering_rate_limited"),
+            (Self::LATERAL_LIMITED, "lateral_limited"),
+            (Self::DEGRADED, "degraded"),
+            (Self::STOPPING, "stopping"),
+            (Self::STOPPED, "stopped"),
+        ];
+        those(flags, &names)
+    }
+}
+
+impl Safety {
+    /// The name of a gate's state.
+    pub fn state_name(state: u32) -> &'static str {
+        match state {
+            Self::NORMAL => "normal",
+            Self::DEGRADED => "degraded",
+            Self::STOPPING => "stopping",
+            Self::STOPPED => "stopped",
+            _ => "unknown",
+        }
+    }
+
+    /// The names of what is wrong, as [`Safety::reasons`] has it.
+    pub fn reason_names(reasons: u32) -> Vec<&'static str> {
+        let names = [
+            (Self::COMMAND_STALE, "command_stale"),
+            (Self::COMMAND_INVALID, "command_invalid"),
+            (Self::ODOMETRY_STALE, "odometry_stale"),
+            (Self::ODOMETRY_INVALID, "odometry_invalid"),
+            (Self::ODOMETRY_JUMP, "odometry_jump"),
+            (Self::TIME_BACK, "time_back"),
+            (Self::RESTARTED, "restarted"),
+        ];
+        those(reasons, &names)
+    }
+}
+
+fn those(bits: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
+    names.iter().filter(|(bit, _)| has(bits, *bit)).map(|(_, name)| *name).collect()
+}

@@ -255,6 +255,19 @@ pub struct SetupArgs {
     /// Seed of random faults
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub chaos_seed: u64,
+    /// How the processes of the ring wait for each other
+    #[arg(long, value_enum, default_value_t = WaitArg::Auto)]
+    pub wait: WaitArg,
+    /// By the clock: ask for SCHED_FIFO with this priority, and for locked memory [default: 50]
+    #[arg(
+        long,
+        value_name = "PRIORITY",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "50",
+        value_parser = clap::value_parser!(u8).range(1..=99)
+    )]
+    pub fifo: Option<u8>,
     /// No progress
     #[arg(long, short)]
     pub quiet: bool,
@@ -361,10 +374,20 @@ fn parse_size(text: &str) -> Result<u64, String> {
 
 /// Options of `bench`.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune bench
+  pathtune bench --only pipeline/ --only calls --json
+  pathtune bench --realtime 60s")]
 pub struct BenchArgs {
     /// Measurements of each row
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub rounds: u32,
+    /// Only the rows whose names begin like this; repeatable
+    #[arg(long, value_name = "NAME")]
+    pub only: Vec<String>,
+    /// Instead: drive at 100 Hz for so long, quiet and beside a load on all cores, and say how late commands are
+    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with_all = ["only", "rounds"])]
+    pub realtime: Option<Duration>,
     /// Print the rows as JSON
     #[arg(long)]
     pub json: bool,
@@ -393,7 +416,7 @@ pub struct MonitorArgs {
     /// How long to look, as in 500ms, 10s, 2m or 1h [default: until the run ends]
     #[arg(long = "for", value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
     pub duration: Option<Duration>,
-    /// One report over a second in which ticks are driven, and no more
+    /// One report over a second in which ticks are driven, or over the time of --for, and no more
     #[arg(long)]
     pub once: bool,
     /// How long odometry to applied command may take; longer is a deadline miss [default: the run's tick]
@@ -409,6 +432,19 @@ fn duration(text: &str) -> Result<Duration, String> {
     let wanted = "a time above zero is meant, as in 500ms, 10s, 2m or 1h".to_owned();
     let time = text.parse::<jiff::SignedDuration>().map_err(|_| wanted.clone())?;
     Duration::try_from(time).ok().filter(|time| !time.is_zero()).ok_or(wanted)
+}
+
+/// How processes wait for each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum WaitArg {
+    /// As suits cores, fleet and mode
+    Auto,
+    /// All on one core, which each hands on to the next; asleep after 100 µs
+    Yield,
+    /// Each on a core of its own, looking again and again; asleep after 100 µs
+    Spin,
+    /// Asleep at once, woken for each message
+    Block,
 }
 
 /// Who tunes.

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::Failure;
+use crate::member::Refused;
 use crate::process::last_lines;
 use crate::terminal::say;
 
@@ -37,8 +38,8 @@ pub(crate) struct ProcessState {
     pub(crate) pid: u32,
     pub(crate) restarts: u32,
     pub(crate) state: String,
-    pub(crate) dropped: u64,
-    pub(crate) rejected: u64,
+    #[serde(flatten)]
+    pub(crate) refused: Refused,
 }
 
 impl RunState {
@@ -134,13 +135,18 @@ pub fn status(as_json: bool) -> Result<(), Failure> {
             state.folder.display()
         );
         let mut table = Table::new();
-        table.load_style(NOTHING).set_header(["  process", "pid", "state", "restarts"]);
+        table.load_style(NOTHING).set_header([
+            "  process", "pid", "state", "restarts", "dropped", "rejected", "late",
+        ]);
         for process in state.processes {
             table.add_row([
                 format!("  {}", process.name),
                 process.pid.to_string(),
                 process.state,
                 process.restarts.to_string(),
+                process.refused.dropped.to_string(),
+                process.refused.rejected.to_string(),
+                process.refused.late.to_string(),
             ]);
         }
         say!("{table}");

@@ -7,7 +7,10 @@ use ipc_types::Status;
 use runtime::Attachment;
 use runtime::clock::now_ns;
 
+use serde::{Deserialize, Serialize};
+
 use crate::Failure;
+use crate::cores::Placement;
 use crate::housekeeping::ProcessState;
 use crate::pipeline::Plan;
 use crate::process::{Process, describe, last_lines};
@@ -30,9 +33,31 @@ pub(crate) struct Member {
     pub(crate) pid: u32,
     /// Batch and tick that it reported last.
     pub(crate) seen: (u64, u64),
-    /// Samples that its incarnations before this one dropped and rejected, and those of this one.
-    pub(crate) refused_before: (u64, u64),
-    pub(crate) refused: (u64, u64),
+    /// Samples that its incarnations before this one did not take, and those of this one.
+    refused_before: Refused,
+    pub(crate) refused: Refused,
+}
+
+/// Samples that a process did not take.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Refused {
+    /// They did not match run, batch, attempt and tick.
+    pub(crate) dropped: u64,
+    /// They were not finite or out of range.
+    pub(crate) rejected: u64,
+    /// They came too late, in real time.
+    #[serde(default)]
+    pub(crate) late: u64,
+}
+
+impl Refused {
+    fn and(self, other: Self) -> Self {
+        Self {
+            dropped: self.dropped + other.dropped,
+            rejected: self.rejected + other.rejected,
+            late: self.late + other.late,
+        }
+    }
 }
 
 pub(crate) enum State {
@@ -71,8 +96,8 @@ impl Member {
             incarnation: 0,
             pid: 0,
             seen: (0, 0),
-            refused_before: (0, 0),
-            refused: (0, 0),
+            refused_before: Refused::default(),
+            refused: Refused::default(),
         }
     }
 
@@ -90,14 +115,32 @@ impl Member {
         matches!(self.state, State::Ready { .. })
     }
 
-    pub(crate) fn start(&mut self, attachment: &Attachment) -> Result<(), Failure> {
+    /// Which process of the ring it is, counted along it. Only the ring has cores: the trainer works while the ring
+    /// rests, the recorder beside it.
+    fn place_in_ring(&self) -> Option<usize> {
+        match self.entry.role {
+            Role::Vehicle => Some(0),
+            Role::Controller => Some(1),
+            Role::Supervisor => Some(2),
+            Role::Trainer | Role::Recorder => None,
+        }
+    }
+
+    pub(crate) fn start(
+        &mut self,
+        attachment: &Attachment,
+        placement: &Placement,
+    ) -> Result<(), Failure> {
         self.incarnation += 1;
         self.refused_before = self.all_refused();
-        self.refused = (0, 0);
-        // Only the ring shares a core; the trainer works while the ring rests, the recorder beside it.
-        let in_ring = !matches!(self.entry.role, Role::Trainer | Role::Recorder);
-        let core = attachment.core.filter(|_| in_ring);
-        let attachment = Attachment { incarnation: self.incarnation, core, ..attachment.clone() };
+        self.refused = Refused::default();
+        let place = self.place_in_ring();
+        let attachment = Attachment {
+            incarnation: self.incarnation,
+            core: place.and_then(|place| placement.core_of(place)),
+            fifo: attachment.fifo.filter(|_| place.is_some()),
+            ..attachment.clone()
+        };
         let process = Process::start(&self.entry, &attachment, &self.log).map_err(|error| {
             anyhow::Error::new(error).context(format!("failed to start the {}", self.name))
         })?;
@@ -158,27 +201,24 @@ impl Member {
             State::Starting { .. } => "starting",
             State::Ready { .. } => "ready",
         };
-        let ProcessFacts { name, pid, restarts, dropped, rejected } = self.facts();
+        let ProcessFacts { name, pid, restarts, refused } = self.facts();
         ProcessState {
             name: name.to_owned(),
             pid,
             restarts,
             state: state.to_owned(),
-            dropped,
-            rejected,
+            refused,
         }
     }
 
-    /// Samples dropped and rejected by all incarnations, as far as they told.
-    pub(crate) fn all_refused(&self) -> (u64, u64) {
-        (self.refused_before.0 + self.refused.0, self.refused_before.1 + self.refused.1)
+    /// Samples that no incarnation took, as far as they told.
+    fn all_refused(&self) -> Refused {
+        self.refused_before.and(self.refused)
     }
 
     pub(crate) fn facts(&self) -> ProcessFacts {
-        let (dropped, rejected) = self.all_refused();
         ProcessFacts {
-            dropped,
-            rejected,
+            refused: self.all_refused(),
             name: self.name,
             pid: self.pid,
             restarts: self.incarnation.saturating_sub(1) as u32,

@@ -18,14 +18,14 @@ use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;
 use runtime::observer::CORE_FILE;
 use runtime::run::RunNames;
-use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting};
+use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Wait, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
 use crate::Failure;
-use crate::cores::CoreClaim;
+use crate::cores::Placement;
 use crate::housekeeping::RunState;
-use crate::member::{Member, State};
+use crate::member::{Member, Refused, State};
 use crate::observers::ObserverCare;
 use crate::process::clean_up_behind;
 use crate::progress::Progress;
@@ -57,6 +57,10 @@ pub(crate) struct Plan {
     /// Faults on purpose: the script with its seed.
     pub(crate) chaos: Option<(String, u64)>,
     pub(crate) quiet: bool,
+    /// How the ring waits, if somebody has said.
+    pub(crate) wait: Option<Wait>,
+    /// Priority of first-in-first-out scheduling of the ring, if it was asked for.
+    pub(crate) fifo: Option<u8>,
     pub(crate) interrupted: Interrupts,
 }
 
@@ -125,7 +129,7 @@ pub(crate) struct Pipeline<'a> {
     driving_ticks: u64,
     reaped_ns: u64,
     started_ns: u64,
-    _core: Option<CoreClaim>,
+    placement: Placement,
 }
 
 impl<'a> Pipeline<'a> {
@@ -137,14 +141,15 @@ impl<'a> Pipeline<'a> {
     ) -> Result<Self, Failure> {
         let config = &plan.config;
         let max_len = config.fleet().max(config.run.alphas.len());
-        let bus = Bus::create(names, max_len)?;
-        // By the clock nobody has to be quick behind somebody else: whichever core is free will do.
         let realtime = plan.sweep.as_ref().is_some_and(|sweep| sweep.realtime);
-        let core = if realtime { None } else { CoreClaim::new() };
-        if let Some(claim) = &core {
-            // Observers leave it alone.
-            let _ = fs::write(names.root.join(CORE_FILE), claim.core.to_string());
+        let placement = Placement::new(plan.wait, config.fleet(), realtime || config.run.realtime);
+        let bus = Bus::create(names, max_len)?.waiting(placement.wait);
+        let cores: Vec<String> = placement.cores().map(|core| core.to_string()).collect();
+        if !cores.is_empty() {
+            // Observers leave them alone.
+            let _ = fs::write(names.root.join(CORE_FILE), cores.join(" "));
         }
+        tracing::info!(waiting = placement.wait.name(), ?cores, "placed");
         let random_kills = match &plan.chaos {
             None => RandomKills::new(0.0, 1),
             Some((script, seed)) => {
@@ -168,7 +173,9 @@ impl<'a> Pipeline<'a> {
                 folder: plan.folder.clone(),
                 max_len,
                 incarnation: 0,
-                core: core.as_ref().map(|claim| claim.core),
+                core: None,
+                wait: placement.wait,
+                fifo: plan.fifo,
                 parent: std::process::id() as i32,
                 chaos: plan.chaos.clone(),
             },
@@ -202,7 +209,7 @@ impl<'a> Pipeline<'a> {
             driving_ticks: 0,
             reaped_ns: 0,
             started_ns: now_ns(),
-            _core: core,
+            placement,
         })
     }
 
@@ -217,6 +224,7 @@ impl<'a> Pipeline<'a> {
             processes: self.members.iter().map(Member::facts).collect(),
             wall_s: (now_ns() - self.started_ns) as f64 / 1e9,
             tick_ns: self.driving_ns as f64 / self.driving_ticks.max(1) as f64,
+            waiting: self.placement.wait.name(),
         })
     }
 
@@ -238,11 +246,8 @@ impl<'a> Pipeline<'a> {
             self.drive()?;
             if heard {
                 waiting.progress();
-                std::thread::yield_now();
             } else if waiting.may_sleep() {
                 self.sleep();
-            } else {
-                std::thread::yield_now();
             }
         }
     }
@@ -261,7 +266,8 @@ impl<'a> Pipeline<'a> {
             else {
                 continue;
             };
-            member.refused = (status.dropped, status.rejected);
+            let Status { dropped, rejected, late, .. } = status;
+            member.refused = Refused { dropped, rejected, late };
             // Each against itself: they stand at different ticks, even when all stand still.
             if (status.batch, status.tick) != member.seen {
                 member.seen = (status.batch, status.tick);
@@ -463,7 +469,7 @@ impl<'a> Pipeline<'a> {
         if let State::Down { due_ns } = member.state
             && now >= due_ns
         {
-            member.start(&self.attachment)?;
+            member.start(&self.attachment, &self.placement)?;
         }
         Ok(())
     }

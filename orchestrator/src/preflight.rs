@@ -6,8 +6,11 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use config::launch::Launch;
+use runtime::waiting;
+use rustix::mm::munlockall;
 
 use crate::Failure;
+use crate::terminal::tell;
 
 /// Checks that the programs and services of a launch file exist.
 pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {
@@ -34,6 +37,28 @@ pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {
             return fail(format!("{program} is not an executable file, and not in the PATH"));
         }
     }
+    Ok(())
+}
+
+/// Checks whether first-in-first-out scheduling and locked memory will be allowed, and says it if not: the drive is the
+/// same without, on a machine that has nothing else to do.
+pub(crate) fn ask_for_fifo(priority: u8, realtime: bool) -> Result<(), Failure> {
+    if !realtime {
+        let why = "--fifo is for driving by the clock: add --realtime";
+        return Err(Failure::User(why.to_owned()));
+    }
+    // Of a thread that is over at once: the orchestrator itself stays as it is.
+    let allowed = std::thread::spawn(move || waiting::use_fifo(priority)).join();
+    if let Ok(Err(why)) = allowed {
+        tell!(
+            "pathtune: --fifo {priority} is refused here ({why}), the drive goes on without; grant rtprio in \
+             /etc/security/limits.conf, see pathtune doctor"
+        );
+    }
+    if let Err(why) = waiting::lock_memory() {
+        tell!("pathtune: memory cannot be locked here ({why}); grant memlock, see pathtune doctor");
+    }
+    let _ = munlockall();
     Ok(())
 }
 

@@ -117,7 +117,7 @@ pub fn exec(words: &[String]) -> anyhow::Error {
     if let Err(error) = attachment.tie_to_parent() {
         return error;
     }
-    attachment.pin();
+    attachment.take_place();
     let Some((program, arguments)) = words.split_first() else {
         return anyhow::anyhow!("no program to execute");
     };

@@ -1,6 +1,11 @@
 //! What a user sees while a training runs.
+//!
+//! A terminal that is held, or a pipe that nobody reads, may keep a writer for ever. So a thread of its own writes, and the
+//! loop that restarts the dead waits for nobody: what the thread cannot take is left out, and stands in the log.
 
 use std::io::IsTerminal;
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -14,10 +19,18 @@ const REDRAW: Duration = Duration::from_millis(100);
 /// How often a line is written where there is no terminal.
 const LINE: Duration = Duration::from_secs(2);
 
+/// Words that wait to be written; more are left out.
+const WAITING: usize = 256;
+/// How long the last ones are waited for at the end.
+const PATIENCE: Duration = Duration::from_millis(500);
+
 /// What a user sees while a training runs.
 pub(crate) struct Progress {
-    bar: ProgressBar,
-    quiet: bool,
+    /// To the thread that writes; none if nothing is to be seen.
+    words: Option<SyncSender<Words>>,
+    /// Ends when that thread does.
+    written: Receiver<()>,
+    is_terminal: bool,
     started: Instant,
     shown: Instant,
     tick_s: f64,
@@ -25,32 +38,36 @@ pub(crate) struct Progress {
 
 impl Progress {
     pub(crate) fn new(quiet: bool, tick_s: f64) -> Self {
-        let terminal = std::io::stderr().is_terminal() && !quiet;
-        let target =
-            if terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-        let bar = ProgressBar::with_draw_target(None, target);
-        if let Ok(style) = ProgressStyle::with_template("{wide_bar:.cyan} {msg}") {
-            bar.set_style(style);
+        let is_terminal = std::io::stderr().is_terminal();
+        let (words, to_write) = sync_channel(WAITING);
+        let (is_written, written) = channel();
+        if !quiet {
+            thread::spawn(move || {
+                write(&to_write, is_terminal);
+                drop(is_written);
+            });
         }
         let now = Instant::now();
-        Self { bar, quiet, started: now, shown: now, tick_s }
+        let words = (!quiet).then_some(words);
+        Self { words, written, is_terminal, started: now, shown: now, tick_s }
+    }
+
+    fn put(&self, words: Words) {
+        if let Some(thread) = &self.words {
+            let _ = thread.try_send(words);
+        }
     }
 
     /// Something that the user should know at once.
     pub(crate) fn notice(&self, text: &str) {
         tracing::warn!("{text}");
-        if self.quiet {
-        } else if self.bar.is_hidden() {
-            tell!("pathtune: {text}");
-        } else {
-            self.bar.println(format!("pathtune: {text}"));
-        }
+        self.put(Words::Notice(format!("pathtune: {text}")));
     }
 
     /// Shows where the training stands, not too often.
     pub(crate) fn show(&mut self, flags: u32, learners: &[LearnerProgress], counts: Counts) {
-        let every = if self.bar.is_hidden() { LINE } else { REDRAW };
-        if self.quiet || learners.is_empty() || self.shown.elapsed() < every {
+        let every = if self.is_terminal { REDRAW } else { LINE };
+        if self.words.is_none() || learners.is_empty() || self.shown.elapsed() < every {
             return;
         }
         self.shown = Instant::now();
@@ -63,12 +80,7 @@ impl Progress {
         } else {
             self.message(learners, counts)
         };
-        self.bar.set_length(all);
-        self.bar.set_position(done);
-        self.bar.set_message(message.clone());
-        if self.bar.is_hidden() {
-            tell!("{message}");
-        }
+        self.put(Words::State { message, of: Some((done, all)) });
     }
 
     fn message(&self, learners: &[LearnerProgress], counts: Counts) -> String {
@@ -95,18 +107,52 @@ impl Progress {
 
     /// Shows where a batch stands that lasts long.
     pub(crate) fn show_tick(&mut self, tick: u64, ticks: u64) {
-        if self.quiet || self.shown.elapsed() < LINE {
+        if self.words.is_none() || self.shown.elapsed() < LINE {
             return;
         }
         self.shown = Instant::now();
         let message = format!("tick {tick}/{ticks} of the drives under way");
-        self.bar.set_message(message.clone());
-        if self.bar.is_hidden() {
-            tell!("{message}");
-        }
+        self.put(Words::State { message, of: None });
     }
 
-    pub(crate) fn finish(&self) {
-        self.bar.finish_and_clear();
+    /// Clears the bar, once everything is written that can be.
+    pub(crate) fn finish(&mut self) {
+        if self.words.take().is_some() {
+            let _ = self.written.recv_timeout(PATIENCE);
+        }
     }
+}
+
+/// What is to be shown.
+enum Words {
+    /// A line that stays.
+    Notice(String),
+    /// Where the training stands: what is done, of how much.
+    State { message: String, of: Option<(u64, u64)> },
+}
+
+/// Writes whatever comes: a bar on a terminal, lines elsewhere.
+fn write(words: &Receiver<Words>, is_terminal: bool) {
+    let target =
+        if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+    let bar = ProgressBar::with_draw_target(None, target);
+    if let Ok(style) = ProgressStyle::with_template("{wide_bar:.cyan} {msg}") {
+        bar.set_style(style);
+    }
+    for words in words {
+        match words {
+            Words::Notice(text) | Words::State { message: text, .. } if !is_terminal => {
+                tell!("{text}");
+            }
+            Words::Notice(text) => bar.println(text),
+            Words::State { message, of } => {
+                if let Some((done, all)) = of {
+                    bar.set_length(all);
+                    bar.set_position(done);
+                }
+                bar.set_message(message);
+            }
+        }
+    }
+    bar.finish_and_clear();
 }

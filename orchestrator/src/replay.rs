@@ -97,6 +97,8 @@ pub fn replay(config: RunConfig, order_file: &str, order: &str) -> Result<Value,
         budget: Budget { restarts: 5, within: Duration::from_secs(10) },
         chaos: None,
         quiet: true,
+        wait: None,
+        fifo: None,
         interrupted,
     };
     run(&plan)?;

@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use config::RunConfig;
 use serde_json::{Map, Value, json};
 
+use crate::member::Refused;
 use crate::sequencer::Counts;
 
 /// What only the orchestrator knows of a run.
@@ -18,6 +19,8 @@ pub(crate) struct RunFacts {
     pub(crate) wall_s: f64,
     /// Mean time of a tick, from the request of a batch to its report.
     pub(crate) tick_ns: f64,
+    /// How the processes waited for each other.
+    pub(crate) waiting: &'static str,
 }
 
 /// One process.
@@ -25,9 +28,7 @@ pub(crate) struct ProcessFacts {
     pub(crate) name: &'static str,
     pub(crate) pid: u32,
     pub(crate) restarts: u32,
-    /// Samples that did not belong, and samples that were no numbers.
-    pub(crate) dropped: u64,
-    pub(crate) rejected: u64,
+    pub(crate) refused: Refused,
 }
 
 /// Joins the outcome with what only the orchestrator knows, and writes `result.json`. `kind` is the command
@@ -62,11 +63,13 @@ pub(crate) fn write_result(
             "name": process.name,
             "pid": process.pid,
             "restarts": process.restarts,
-            "dropped": process.dropped,
-            "rejected": process.rejected,
+            "dropped": process.refused.dropped,
+            "rejected": process.refused.rejected,
+            "late": process.refused.late,
         })).collect::<Vec<_>>(),
         "recovery": facts.recovery,
         "tick_ns": facts.tick_ns,
+        "waiting": facts.waiting,
         "vehicle_s": vehicle_s,
         "wall_s": facts.wall_s,
         "real_time_factor": vehicle_s / facts.wall_s,

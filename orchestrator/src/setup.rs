@@ -6,10 +6,11 @@ use std::time::Duration;
 
 use config::launch::{Launch, Role};
 use config::{Layers, RunConfig, SweepPlan};
+use runtime::Wait;
 use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
 
-use crate::cli::SetupArgs;
+use crate::cli::{SetupArgs, WaitArg};
 use crate::pipeline::{Interrupts, Plan};
 use crate::restart::Budget;
 use crate::terminal::{say, tell};
@@ -121,6 +122,15 @@ pub(crate) fn prepare(
     if let Some(script) = &args.chaos {
         Script::parse(script).map_err(|why| Failure::User(format!("--chaos: {why}")))?;
     }
+    let wait = match args.wait {
+        WaitArg::Auto => None,
+        WaitArg::Yield => Some(Wait::Yield),
+        WaitArg::Spin => Some(Wait::Spin),
+        WaitArg::Block => Some(Wait::Block),
+    };
+    if let Some(priority) = args.fifo {
+        preflight::ask_for_fifo(priority, config.run.realtime)?;
+    }
     // Until here a signal may simply end us; from here on it ends in order.
     let interrupted = Interrupts::new()?;
     preflight::check_commands(&launch)?;
@@ -142,6 +152,8 @@ pub(crate) fn prepare(
         budget: Budget { restarts: args.restart_budget, within: Duration::from_secs(10) },
         chaos: args.chaos.clone().map(|script| (script, args.chaos_seed)),
         quiet: args.quiet || args.json,
+        wait,
+        fifo: args.fifo,
         interrupted,
     };
     Ok(Ready { plan, _lock: lock })

@@ -1,6 +1,7 @@
 //! `pathtune bench`: what a tick of the pipeline costs, beside rings that only pass its bytes around, and beside plain
 //! calls. All of it in one run, in turn, because machines differ from minute to minute.
 
+mod by_clock;
 mod pipelines;
 mod rings;
 
@@ -22,6 +23,16 @@ struct Timing {
 }
 
 impl Timing {
+    /// As a process tells it: mean, median, 99th percentile.
+    fn parse(text: &str) -> anyhow::Result<Self> {
+        let numbers: Vec<f64> =
+            text.split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
+        let [tick_ns, p50_ns, p99_ns] = numbers[..] else {
+            anyhow::bail!("a measured process told {text:?}");
+        };
+        Ok(Self { tick_ns, p50_ns, p99_ns })
+    }
+
     /// Where only the mean is known.
     fn of_mean(tick_ns: f64) -> Self {
         Self { tick_ns, p50_ns: f64::NAN, p99_ns: f64::NAN }
@@ -93,7 +104,18 @@ fn subjects() -> Vec<Subject> {
 /// # Errors
 /// If a pipeline cannot be kept alive.
 pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
-    let subjects = subjects();
+    if let Some(time) = args.realtime {
+        return by_clock::bench(time, args.json);
+    }
+    let mut subjects = subjects();
+    if !args.only.is_empty() {
+        subjects.retain(|it| args.only.iter().any(|only| it.name().starts_with(only)));
+    }
+    if subjects.is_empty() {
+        let names: Vec<String> = self::subjects().iter().map(|it| it.name()).collect();
+        let why = format!("--only: no row begins like this; there are {}", names.join(", "));
+        return Err(Failure::User(why));
+    }
     let mut rounds: Vec<Vec<Timing>> = vec![Vec::new(); subjects.len()];
     for round in 1..=args.rounds {
         for (subject, timings) in subjects.iter().zip(&mut rounds) {
@@ -105,13 +127,14 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
     }
     let rows: Vec<(Subject, Timing)> =
         subjects.into_iter().zip(rounds.iter().map(|timings| medians(timings))).collect();
+    if !args.only.is_empty() {
+        return if args.json { print_json(&rows, json!({})) } else { print_rows(&rows, args.rounds) };
+    }
     if !args.json {
         tell!("waiting behind a slow vehicle");
     }
     let (waiting, start_up) = waiting()?;
     if args.json {
-        let rows: Vec<Value> =
-            rows.iter().map(|(subject, timing)| row_json(*subject, *timing)).collect();
         let processes: Vec<Value> = waiting
             .iter()
             .map(|process| {
@@ -124,8 +147,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
             })
             .collect();
         let start_up_ms = start_up.as_secs_f64() * 1e3;
-        say!("{}", json!({ "rows": rows, "processes": processes, "start_up_ms": start_up_ms }));
-        return Ok(());
+        return print_json(&rows, json!({ "processes": processes, "start_up_ms": start_up_ms }));
     }
     print_rows(&rows, args.rounds)?;
     let mut table =
@@ -153,6 +175,12 @@ fn row_json(subject: Subject, timing: Timing) -> Value {
         "p50_ns": known(timing.p50_ns),
         "p99_ns": known(timing.p99_ns),
     })
+}
+
+fn print_json(rows: &[(Subject, Timing)], mut with: Value) -> Result<(), Failure> {
+    with["rows"] = rows.iter().map(|(subject, timing)| row_json(*subject, *timing)).collect();
+    say!("{with}");
+    Ok(())
 }
 
 fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {

@@ -8,6 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use runtime::periods::FILE_VARIABLE;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -21,6 +22,9 @@ struct Sweep {
     orchestrator: Child,
     folder: TempDir,
 }
+
+/// Name of the file with the times of a pipeline's ticks.
+const TICK_TIMES: &str = "tick_times";
 
 /// Enough drives for about a second, whatever the fleet.
 fn grid_of(fleet: usize) -> &'static [&'static str] {
@@ -41,6 +45,7 @@ impl Sweep {
             .args(["--fleet", &fleet.to_string(), "--json", "--out"])
             .arg(folder.path().join("run"))
             .args(more)
+            .env(FILE_VARIABLE, folder.path().join(TICK_TIMES))
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -97,19 +102,9 @@ pub(super) fn pipeline(fleet: usize, monitors: usize) -> Result<Timing> {
             watching.push(Killed(monitor(&run)?));
         }
     }
-    let mut timing = Timing::of_mean(sweep.tick_ns()?);
-    // The last line of a monitor that has seen anything tells the spread.
-    for mut monitor in watching {
-        let mut text = String::new();
-        monitor.0.stdout.take().context("no output")?.read_to_string(&mut text)?;
-        let Some(line) = text.lines().last() else { continue };
-        let line: Value = serde_json::from_str(line)?;
-        let number = |key: &str| line["period"][key].as_f64();
-        if let (Some(p50_ns), Some(p99_ns)) = (number("p50_ns"), number("p99_ns")) {
-            (timing.p50_ns, timing.p99_ns) = (p50_ns, p99_ns);
-        }
-    }
-    Ok(timing)
+    let tick_ns = sweep.tick_ns()?;
+    let text = std::fs::read_to_string(sweep.folder.path().join(TICK_TIMES))?;
+    Ok(Timing { tick_ns, ..Timing::parse(&text)? })
 }
 
 fn monitor(run: &str) -> std::io::Result<Child> {
@@ -117,7 +112,7 @@ fn monitor(run: &str) -> std::io::Result<Child> {
         .arg0("pathtune")
         .args(["monitor", "--run", run, "--json"])
         .stdin(Stdio::null())
-        .stdout(Stdio::piped())
+        .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use runtime::run::RunNames;
-use runtime::{Attachment, Bus};
+use runtime::{Attachment, Bus, Wait};
 
 use super::Timing;
 use crate::cores::CoreClaim;
@@ -37,13 +37,15 @@ pub(super) fn ring(transport: Transport, fleet: usize) -> Result<Timing> {
 }
 
 fn ring_on(names: &RunNames, transport: Transport, fleet: usize) -> Result<Timing> {
-    let claim = CoreClaim::new();
+    let claim = CoreClaim::unshared().or_else(CoreClaim::shared);
     let attachment = Attachment {
         names: names.clone(),
         folder: names.root.clone(),
         max_len: fleet,
         incarnation: 1,
         core: claim.as_ref().map(|claim| claim.core),
+        wait: Wait::default(),
+        fifo: None,
         parent: std::process::id() as i32,
         chaos: None,
     };
@@ -114,12 +116,7 @@ impl Killed {
         let mut text = String::new();
         self.0.stderr.take().context("no output")?.read_to_string(&mut text)?;
         ensure!(self.0.wait()?.success(), "a process of a ring failed: {}", text.trim());
-        let numbers: Vec<f64> =
-            text.split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
-        let [mean_ns, p50_ns, p99_ns] = numbers[..] else {
-            anyhow::bail!("a process of a ring printed {text:?}");
-        };
-        Ok(Timing { tick_ns: mean_ns, p50_ns, p99_ns })
+        Timing::parse(&text)
     }
 }
 

@@ -21,7 +21,7 @@ use comfy_table::presets::NOTHING;
 use config::launch::{Launch, Role};
 use config::{Layers, RunConfig};
 use ipc_types::Status;
-use runtime::Attachment;
+use runtime::{Attachment, Wait};
 use runtime::run::{LOCK_FILE, RunNames, sweep_dead_runs};
 use serde_json::json;
 
@@ -71,6 +71,8 @@ pub fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
         max_len: MAX_SLOTS,
         incarnation: 0,
         core: None,
+        wait: Wait::default(),
+        fifo: None,
         parent: std::process::id() as i32,
         chaos: None,
     };

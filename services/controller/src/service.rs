@@ -19,7 +19,7 @@ use crate::{Decision, DriveController, Ended, Seen};
 pub fn run() -> Result<()> {
     let started_ns = now_ns();
     let (attachment, bus, config) = join()?;
-    attachment.pin();
+    attachment.take_place();
     let mut controller = Controller::new(&bus, config, attachment.names.run, started_ns)?;
     serve(&attachment, &bus, WakeRole::Controller, &mut controller)
 }

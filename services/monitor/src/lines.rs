@@ -20,16 +20,21 @@ pub(crate) fn run(
     let mut outputs = Outputs::new(options)?;
     let mut pace = Pace::new(options);
     watch.begin_interval();
-    let mut due_ns = now_ns() + SECOND_NS;
+    // A single report is of as long as one wants to look.
+    let interval_ns = match options.duration {
+        Some(duration) if options.once => duration.as_nanos() as u64,
+        _ => SECOND_NS,
+    };
+    let mut due_ns = now_ns() + interval_ns;
     let mut reports = 0u32;
     let mut has_begun = !options.once;
     let ended = loop {
         let ended = drain(watch)?;
         if !has_begun && watch.has_seen_ticks() {
-            // A single report is one of a second in which something was driven.
+            // And of a time in which something was driven.
             has_begun = true;
             watch.begin_interval();
-            due_ns = now_ns() + SECOND_NS;
+            due_ns = now_ns() + interval_ns;
         }
         if has_begun && now_ns() >= due_ns {
             let report = watch.report();
@@ -46,7 +51,7 @@ pub(crate) fn run(
         if let Some(ended) = ended {
             break ended;
         }
-        if stop.is_asked_for() || pace.is_over() {
+        if stop.is_asked_for() || (pace.is_over() && !(options.once && has_begun)) {
             break Ended::Enough;
         }
         if pace.is_time_to_look() {

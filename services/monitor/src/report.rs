@@ -4,7 +4,7 @@
 //! the monitor has begun. A percentile of nothing is 0: `n` tells the two apart.
 
 use hdrhistogram::Histogram;
-use ipc_types::{Command, Safety, has};
+use ipc_types::{Command, has};
 use serde::Serialize;
 
 use crate::latency::{Counts, Figures, Hop, Latency};
@@ -173,48 +173,6 @@ pub struct Vehicle {
     pub own_commands: u64,
     /// The vehicle stops on its own, because its newest command is too old.
     pub own_stop: bool,
-}
-
-/// The names of a command's flags.
-pub fn flag_names(flags: u32) -> Vec<&'static str> {
-    let names = [
-        (Command::ENDED, "ended"),
-        (Command::SPEED_LIMITED, "speed_limited"),
-        (Command::STEERING_LIMITED, "steering_limited"),
-        (Command::REJECTED, "rejected"),
-        (Command::ACCELERATION_LIMITED, "acceleration_limited"),
-        (Command::STEERING_RATE_LIMITED, "steering_rate_limited"),
-        (Command::LATERAL_LIMITED, "lateral_limited"),
-        (Command::DEGRADED, "degraded"),
-        (Command::STOPPING, "stopping"),
-        (Command::STOPPED, "stopped"),
-    ];
-    names.into_iter().filter(|(bit, _)| has(flags, *bit)).map(|(_, name)| name).collect()
-}
-
-/// The name of a gate's state.
-pub fn state_name(state: u32) -> &'static str {
-    match state {
-        Safety::NORMAL => "normal",
-        Safety::DEGRADED => "degraded",
-        Safety::STOPPING => "stopping",
-        Safety::STOPPED => "stopped",
-        _ => "unknown",
-    }
-}
-
-/// The names of what is wrong, as a gate's reasons have it.
-pub fn reason_names(reasons: u32) -> Vec<&'static str> {
-    let names = [
-        (Safety::COMMAND_STALE, "command_stale"),
-        (Safety::COMMAND_INVALID, "command_invalid"),
-        (Safety::ODOMETRY_STALE, "odometry_stale"),
-        (Safety::ODOMETRY_INVALID, "odometry_invalid"),
-        (Safety::ODOMETRY_JUMP, "odometry_jump"),
-        (Safety::TIME_BACK, "time_back"),
-        (Safety::RESTARTED, "restarted"),
-    ];
-    names.into_iter().filter(|(bit, _)| has(reasons, *bit)).map(|(_, name)| name).collect()
 }
 
 /// Everything of a report that is not in the figures.
@@ -388,7 +346,7 @@ mod tests {
     #[test]
     fn a_row_holds_what_the_json_line_holds() {
         let mut report = Report { age_ns: Some(5), ..Report::default() };
-        report.vehicle.flags = flag_names(Command::ENDED | Command::REJECTED);
+        report.vehicle.flags = Command::flag_names(Command::ENDED | Command::REJECTED);
         let json = serde_json::to_value(&report).unwrap();
         let mut leaves = Vec::new();
         flatten("", &json, &mut leaves);

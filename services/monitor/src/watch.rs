@@ -14,7 +14,7 @@ use serde::Deserialize;
 
 use crate::MonitorError;
 use crate::latency::{Figures, Latency};
-use crate::report::{Circumstances, Report, Vehicle, flag_names, reason_names, state_name};
+use crate::report::{Circumstances, Report, Vehicle};
 
 /// How long a run that is only just being made may refuse.
 const BEING_MADE: Duration = Duration::from_secs(2);
@@ -96,7 +96,7 @@ impl Watch {
             names: names.clone(),
             latency: Latency::new(names.run, budget_ns),
             total: Figures::new(),
-            vehicle: Vehicle { slot, gate: state_name(Safety::NORMAL), ..Vehicle::default() },
+            vehicle: Vehicle { slot, gate: Safety::state_name(Safety::NORMAL), ..Vehicle::default() },
             is_in_range: false,
             budget_ns,
             restarts: BTreeMap::new(),
@@ -120,8 +120,8 @@ impl Watch {
         if let Some(message) = self.safety.receive_newest()?
             && let Some(safety) = message.items().get(self.vehicle.slot)
         {
-            self.vehicle.gate = state_name(safety.state);
-            self.vehicle.reasons = reason_names(safety.reasons);
+            self.vehicle.gate = Safety::state_name(safety.state);
+            self.vehicle.reasons = Safety::reason_names(safety.reasons);
             self.vehicle.changed_commands = safety.changed;
             self.vehicle.own_commands = safety.own;
         }
@@ -150,7 +150,7 @@ impl Watch {
             vehicle.speed_mps = command.speed_mps;
             vehicle.steering_rad = command.steering_rad;
             vehicle.zone = command.zone;
-            vehicle.flags = flag_names(command.flags);
+            vehicle.flags = Command::flag_names(command.flags);
         } else if !self.is_in_range {
             // Later batches may be smaller; the first one that is seen tells whether the slot was meant.
             let last = vehicle.fleet.saturating_sub(1);

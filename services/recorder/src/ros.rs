@@ -5,7 +5,7 @@
 //! | `/odom` | `nav_msgs/msg/Odometry` | the measured pose, speed and yaw rate of slot 0 |
 //! | `/truth` | `nav_msgs/msg/Odometry` | the true pose, where the vehicle knows it |
 //! | `/vehicle_I/odom`, `/vehicle_I/truth` | `nav_msgs/msg/Odometry` | the same of slots 1 to 7 of a fleet |
-//! | `/cmd` | `ackermann_msgs/msg/AckermannDriveStamped` | the command that the gate passed, of slot 0 |
+//! | `/cmd`, `/vehicle_I/cmd` | `ackermann_msgs/msg/AckermannDriveStamped` | the command that the gate passed |
 //! | `/tracking_error` | `geometry_msgs/msg/Vector3Stamped` | x along track, y cross track, z heading, of slot 0 |
 //! | `/diagnostics` | `diagnostic_msgs/msg/DiagnosticArray` | starts and ends of batches and attempts, what the gate changed |
 //!
@@ -212,7 +212,7 @@ impl Teller {
             if self.ended[slot] {
                 continue;
             }
-            let prefix = if slot == 0 { String::new() } else { format!("/vehicle_{slot}") };
+            let prefix = prefix(slot);
             let kind = Kind::Odometry;
             told.push(RosMessage {
                 topic: format!("{prefix}/odom"),
@@ -232,10 +232,10 @@ impl Teller {
 
     fn tell_commands(&mut self, bytes: &[u8], stamp_ns: u64) -> Vec<RosMessage> {
         let Some((_, all)) = parse::<TickHeader, Command>(bytes, SLOTS) else { return Vec::new() };
-        let mut told = Vec::new();
-        if let Some(command) = all.first().filter(|_| !self.ended[0]) {
+        let mut told = Vec::with_capacity(all.len());
+        for (slot, command) in all.iter().enumerate().filter(|(slot, _)| !self.ended[*slot]) {
             told.push(RosMessage {
-                topic: "/cmd".to_owned(),
+                topic: format!("{}/cmd", prefix(slot)),
                 kind: Kind::AckermannDriveStamped,
                 cdr: cdr(&Ackermann {
                     header: header(stamp_ns),
@@ -247,21 +247,15 @@ impl Teller {
                 }),
             });
         }
-        let bits = Command::SPEED_LIMITED | Command::STEERING_LIMITED | Command::REJECTED;
         for (slot, command) in all.iter().enumerate() {
-            let gate = command.flags & bits;
+            let gate = command.flags & !Command::ENDED;
             if std::mem::replace(&mut self.gate[slot], gate) == gate {
                 continue;
             }
-            let names = [
-                (Command::SPEED_LIMITED, "speed limited"),
-                (Command::STEERING_LIMITED, "steering limited"),
-                (Command::REJECTED, "rejected"),
-            ];
-            let set: Vec<&str> =
-                names.iter().filter(|(bit, _)| has(gate, *bit)).map(|(_, name)| *name).collect();
-            let message = if set.is_empty() { "passes".to_owned() } else { set.join(", ") };
-            let level = if has(gate, Command::REJECTED) { WARN } else { OK };
+            let set = Command::flag_names(gate).join(", ").replace('_', " ");
+            let message = if set.is_empty() { "passes".to_owned() } else { set };
+            let own = Command::DEGRADED | Command::STOPPING | Command::STOPPED;
+            let level = if has(gate, Command::REJECTED | own) { WARN } else { OK };
             told.push(diagnostic(stamp_ns, level, "gate", message, slot, Vec::new()));
         }
         told
@@ -296,6 +290,11 @@ impl Teller {
         let level = if again { WARN } else { OK };
         vec![diagnostic(stamp_ns, level, "batch", what.to_owned(), 0, values)]
     }
+}
+
+/// What stands before a topic of a slot.
+fn prefix(slot: usize) -> String {
+    if slot == 0 { String::new() } else { format!("/vehicle_{slot}") }
 }
 
 fn tell_report(bytes: &[u8], stamp_ns: u64) -> Vec<RosMessage> {

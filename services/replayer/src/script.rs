@@ -48,7 +48,8 @@ impl Order {
 /// # Errors
 /// Says in one line why it cannot.
 pub fn check(file: &Path) -> Result<String> {
-    let recording = Recording::read_only(file, |_| false)?;
+    let mut parts = parts(file, |_| false)?.into_iter();
+    let recording = parts.next().context("a first part")?;
     let beginning = |key: &str| recording.beginning.get(key).map(String::as_str);
     let why = |why: &str| format!("{} {why}", file.display());
     ensure!(!recording.beginning.is_empty(), why("is no recording of ours"));
@@ -56,16 +57,18 @@ pub fn check(file: &Path) -> Result<String> {
         beginning("layout") == Some(&layout_digest()),
         why("was recorded by a version whose messages have another layout")
     );
-    let end = recording.end.as_ref().filter(|_| recording.cut_off.is_none());
-    let Some(end) = end else { bail!(why("was cut off: its end is missing")) };
+    if let (Some(number), Some(before)) = (beginning("file"), recording.beginning.get("continues"))
+    {
+        bail!(why(&format!("is part {number} of a recording, behind {before}; name the first one")));
+    }
     ensure!(
         beginning("from_first_tick") == Some("true"),
         why("does not begin with the first tick of its run; record it with --record")
     );
-    ensure!(
-        beginning("file") == Some("1") && !end.contains_key("continued_in"),
-        why("is one part of a split recording")
-    );
+    let last = parts.next_back();
+    let last = last.as_ref().unwrap_or(&recording);
+    let end = last.end.as_ref().filter(|_| last.cut_off.is_none());
+    let Some(end) = end else { bail!(why("was cut off: its end is missing")) };
     ensure!(
         end.get("gaps").is_some_and(|gaps| gaps == "0"),
         why("has gaps: what is not there cannot be compared")
@@ -73,6 +76,30 @@ pub fn check(file: &Path) -> Result<String> {
     let config = recording.attachments.get("config.toml");
     let Some(config) = config else { bail!(why("holds no configuration")) };
     Ok(String::from_utf8(config.clone())?)
+}
+
+/// Reads a recording with the messages of some channels, and the files that it is continued in.
+fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> {
+    let mut parts = vec![Recording::read_only(first, &wanted)?];
+    while let Some(next) =
+        parts.last().and_then(|it| it.end.as_ref()).and_then(|end| end.get("continued_in"))
+    {
+        // A name without a folder: the parts lie beside each other.
+        let name = Path::new(next).file_name().context("a recording is continued in no file")?;
+        let path = first.with_file_name(name);
+        let part = Recording::read_only(&path, &wanted)
+            .with_context(|| format!("{} is continued in {next}", first.display()))?;
+        let number = (parts.len() + 1).to_string();
+        ensure!(
+            part.beginning.get("run") == parts[0].beginning.get("run")
+                && part.beginning.get("file") == Some(&number),
+            "{} is not part {number} of {}",
+            path.display(),
+            first.display()
+        );
+        parts.push(part);
+    }
+    Ok(parts)
 }
 
 /// A batch as it was driven.
@@ -89,17 +116,17 @@ pub(crate) struct Batch {
 /// Reads the batches of a recording that were driven to their end, each in its last attempt, with these topics.
 pub(crate) fn batches(file: &Path, topics: &[&'static str]) -> Result<Vec<Batch>> {
     let others = ["drive_request", "drive_report", "gains"];
-    let recording = Recording::read_only(file, |channel| {
+    let parts = parts(file, |channel| {
         let name = channel.strip_prefix("/pathtune/").unwrap_or_default();
         others.contains(&name) || topics.contains(&name)
     })?;
     let mut reported = BTreeMap::new();
-    for message in recording.of("drive_report") {
+    for message in parts.iter().flat_map(|part| part.of("drive_report")) {
         let header = BatchHeader::take(&mut &message.data[..]).context("a report")?;
         reported.insert(header.batch, header.attempt);
     }
     let mut all: BTreeMap<u64, Batch> = BTreeMap::new();
-    for message in &recording.messages {
+    for message in parts.iter().flat_map(|part| &part.messages) {
         let name = message.topic.strip_prefix("/pathtune/").unwrap_or_default();
         let mut bytes = &message.data[..];
         let per_tick = topics.iter().find(|topic| **topic == name);

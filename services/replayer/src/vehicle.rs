@@ -16,7 +16,7 @@ use crate::script::{Batch, Order, batches, parse};
 /// If it cannot join the run, the recording cannot be read, or the transport fails.
 pub fn run() -> Result<()> {
     let (attachment, bus, config) = join()?;
-    attachment.pin();
+    attachment.take_place();
     let order = Order::read(&attachment.folder)?;
     let batches = batches(&order.file, &["odometry"])?;
     let tick_ns = order.speed.map(|speed| (config.drive.tick_s * 1e9 / speed) as u64);

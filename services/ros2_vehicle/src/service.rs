@@ -34,7 +34,7 @@ pub(crate) fn run() -> Result<()> {
     let is_first = attachment.incarnation == 1;
     // Behind a crash the car must not be left alone for longer than it takes; its driver before us was ourselves.
     let ros = Ros::join(&config.vehicle.ros2, is_first)?;
-    attachment.pin();
+    attachment.take_place();
     let mut adapter = Adapter::new(&attachment, &bus, &config, ros)?;
     serve(&attachment, &bus, WakeRole::Vehicle, &mut adapter)
 }

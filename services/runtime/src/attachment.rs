@@ -1,11 +1,13 @@
 //! How a process learns which run it belongs to: its environment.
 
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 
 use crate::chaos;
 use crate::run::RunNames;
+use crate::waiting::{Wait, use_fifo};
 
 /// Where a process belongs: the variables that the orchestrator sets for each of its children.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -18,8 +20,12 @@ pub struct Attachment {
     pub max_len: usize,
     /// Which start of this role it is, counted from 1.
     pub incarnation: u64,
-    /// The core that the processes of the ring share, if they are to.
+    /// The core that this process is to run on, if it is to run on a certain one.
     pub core: Option<usize>,
+    /// How the processes of the run wait for each other.
+    pub wait: Wait,
+    /// Priority of first-in-first-out scheduling, if the processes of the ring are to ask for it; see [`use_fifo`].
+    pub fifo: Option<u8>,
     /// The orchestrator's process id.
     pub parent: i32,
     /// Faults on purpose, with their seed; see [`crate::chaos`].
@@ -33,6 +39,8 @@ const FOLDER: &str = "PATHTUNE_FOLDER";
 const MAX_LEN: &str = "PATHTUNE_MAX_LEN";
 const INCARNATION: &str = "PATHTUNE_INCARNATION";
 const CORE: &str = "PATHTUNE_CORE";
+const WAIT: &str = "PATHTUNE_WAIT";
+const FIFO: &str = "PATHTUNE_FIFO";
 const PARENT: &str = "PATHTUNE_PARENT";
 
 impl Attachment {
@@ -52,10 +60,11 @@ impl Attachment {
         if text(PREFIX)? != names.prefix() {
             bail!("{PREFIX} does not belong to {RUN}");
         }
-        let core = match std::env::var(CORE) {
-            Ok(core) => Some(core.parse().with_context(|| format!("malformed {CORE}"))?),
-            Err(_) => None,
-        };
+        fn parsed<T: FromStr>(name: &str) -> Result<Option<T>> {
+            let Ok(text) = std::env::var(name) else { return Ok(None) };
+            let parsed = text.parse().ok().with_context(|| format!("malformed {name}"))?;
+            Ok(Some(parsed))
+        }
         Ok(Self {
             names,
             folder: PathBuf::from(text(FOLDER)?),
@@ -63,7 +72,9 @@ impl Attachment {
             incarnation: text(INCARNATION)?
                 .parse()
                 .with_context(|| format!("malformed {INCARNATION}"))?,
-            core,
+            core: parsed(CORE)?,
+            wait: parsed(WAIT)?.unwrap_or_default(),
+            fifo: parsed(FIFO)?,
             chaos: None,
             parent: text(PARENT)?.parse().with_context(|| format!("malformed {PARENT}"))?,
         })
@@ -79,6 +90,7 @@ impl Attachment {
             (MAX_LEN, self.max_len.to_string()),
             (INCARNATION, self.incarnation.to_string()),
             (PARENT, self.parent.to_string()),
+            (WAIT, self.wait.name().to_owned()),
         ];
         if let Some((script, seed)) = &self.chaos {
             env.push((chaos::SCRIPT, script.clone()));
@@ -86,6 +98,9 @@ impl Attachment {
         }
         if let Some(core) = self.core {
             env.push((CORE, core.to_string()));
+        }
+        if let Some(fifo) = self.fifo {
+            env.push((FIFO, fifo.to_string()));
         }
         env
     }
@@ -104,13 +119,20 @@ impl Attachment {
         Ok(())
     }
 
-    /// Moves this process to the run's core; a refusal costs speed and nothing else.
-    pub fn pin(&self) {
-        let Some(core) = self.core else { return };
-        let mut cores = rustix::thread::CpuSet::new();
-        cores.set(core);
-        if let Err(error) = rustix::thread::sched_setaffinity(None, &cores) {
-            tracing::warn!(core, %error, "not pinned");
+    /// Takes the place on the machine that this process was given: its core, its priority. A refusal costs speed and
+    /// nothing else.
+    pub fn take_place(&self) {
+        if let Some(core) = self.core {
+            let mut cores = rustix::thread::CpuSet::new();
+            cores.set(core);
+            if let Err(error) = rustix::thread::sched_setaffinity(None, &cores) {
+                tracing::warn!(core, %error, "not pinned");
+            }
+        }
+        if let Some(priority) = self.fifo
+            && let Err(why) = use_fifo(priority)
+        {
+            tracing::warn!(priority, %why, "not scheduled first in, first out");
         }
     }
 }

@@ -25,10 +25,7 @@ use ipc_types::{Message, WakeRole, for_each_topic};
 use crate::chaos::Disturbance;
 use crate::clock::now_ns;
 use crate::run::RunNames;
-
-/// A reader that has waited this long may have gone to sleep; one that has not, has not. Readers and
-/// writers share the value: see [`Outlet::send`] and [`crate::serve`].
-pub(crate) const SLEEPS_AFTER_NS: u64 = 100_000;
+use crate::waiting::Wait;
 
 /// The transport refused something; says what was asked of it.
 #[derive(Debug, thiserror::Error)]
@@ -47,6 +44,7 @@ fn refused<E: std::fmt::Debug>(action: impl FnOnce() -> String) -> impl FnOnce(E
 pub struct Bus {
     node: Node<ipc::Service>,
     max_len: usize,
+    wait: Wait,
     /// What only the creator holds, so that topics outlive their users.
     held: Vec<Box<dyn Any>>,
     /// Every publisher of this process: they meet late joiners only when told to look.
@@ -105,7 +103,18 @@ impl Bus {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(refused(|| "join the run".to_owned()))?;
-        Ok(Self { node, max_len, held: Vec::new(), outlets: RefCell::default() })
+        Ok(Self {
+            node,
+            max_len,
+            wait: Wait::default(),
+            held: Vec::new(),
+            outlets: RefCell::default(),
+        })
+    }
+
+    /// The same, where the readers of the run wait in another way than usual.
+    pub fn waiting(self, wait: Wait) -> Self {
+        Self { wait, ..self }
     }
 
     fn topic<M: Message>(
@@ -152,7 +161,8 @@ impl Bus {
         let wakes =
             M::TOPIC.wakes.iter().map(|role| self.notifier(*role)).collect::<Result<_, _>>()?;
         let disturbance = Disturbance::from_env(M::TOPIC.name);
-        Ok(Outlet { topic, publisher, wakes, last_send_ns: Cell::new(0), disturbance })
+        let sleeps_after_ns = self.wait.sleeps_after_ns();
+        Ok(Outlet { topic, publisher, wakes, sleeps_after_ns, last_send_ns: Cell::new(0), disturbance })
     }
 
     /// The right to hear messages of one kind, as a participant.
@@ -274,6 +284,8 @@ pub struct Outlet<M: Message> {
     topic: PortFactory<ipc::Service, [M], M::Header>,
     publisher: Rc<Publisher<ipc::Service, [M], M::Header>>,
     wakes: Vec<Notifier<ipc::Service>>,
+    /// How long its readers have looked in vain when they may sleep.
+    sleeps_after_ns: u64,
     last_send_ns: Cell<u64>,
     disturbance: Option<Disturbance>,
 }
@@ -287,7 +299,7 @@ impl<M: Message> Outlet<M> {
     /// Sends one message of `len` elements, each written in place by `write`, and wakes its readers if
     /// they may sleep.
     ///
-    /// Readers sleep only after `SLEEPS_AFTER_NS` without a message. If the last one is younger than
+    /// Readers sleep only after some time without a message, the same for all of a run. If the last one is younger than
     /// that even now, behind this send, they have not slept in between, and will find this one.
     ///
     /// # Errors
@@ -300,7 +312,7 @@ impl<M: Message> Outlet<M> {
     ) -> Result<(), BusError> {
         let before_ns = now_ns();
         self.send_quietly(header, len, write)?;
-        if now_ns() - self.last_send_ns.replace(before_ns) >= SLEEPS_AFTER_NS {
+        if now_ns() - self.last_send_ns.replace(before_ns) >= self.sleeps_after_ns {
             for notifier in &self.wakes {
                 // Nobody may be listening, which is no mistake.
                 let _ = notifier.notify();

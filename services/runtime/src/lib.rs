@@ -11,10 +11,13 @@ pub mod cleanup;
 pub mod clock;
 pub mod logging;
 pub mod observer;
+pub mod periods;
 pub mod ring;
 pub mod run;
 mod serve;
+pub mod waiting;
 
 pub use attachment::Attachment;
 pub use bus::{Alarm, Bus, BusError, Inlet, Outlet, Received};
-pub use serve::{Counters, Service, Waiting, join, serve};
+pub use serve::{Counters, Service, join, serve};
+pub use waiting::{Wait, Waiting};

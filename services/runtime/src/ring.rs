@@ -10,10 +10,10 @@ use std::os::fd::AsFd;
 use std::thread::yield_now;
 
 use anyhow::Result;
-use hdrhistogram::Histogram;
 use ipc_types::{Command, Message, Odometry, RawCommand};
 
 use crate::clock::now_ns;
+use crate::periods::Periods;
 use crate::serve::RingOrder;
 use crate::{Attachment, Bus, Inlet, Outlet};
 
@@ -42,7 +42,7 @@ pub enum Hop {
 pub fn run(hop: Hop) -> Result<()> {
     let attachment = Attachment::from_env()?;
     attachment.tie_to_parent()?;
-    attachment.pin();
+    attachment.take_place();
     let bus = Bus::attach(&attachment.names, attachment.max_len)?;
     let len = attachment.max_len;
     match hop {
@@ -82,7 +82,7 @@ pub fn run(hop: Hop) -> Result<()> {
 pub fn run_over_streams(hop: Hop) -> Result<()> {
     let attachment = Attachment::from_env()?;
     attachment.tie_to_parent()?;
-    attachment.pin();
+    attachment.take_place();
     let mut input = File::from(io::stdin().as_fd().try_clone_to_owned()?);
     let mut output = File::from(io::stdout().as_fd().try_clone_to_owned()?);
     let (odometry, raw_command, command) =
@@ -112,24 +112,15 @@ fn bytes_of<M: Message>() -> Vec<u8> {
 }
 
 fn measure(rounds: u64, mut round_trip: impl FnMut(u64) -> Result<()>) -> Result<()> {
-    // Three digits: a thousandth is finer than any run repeats.
-    let mut histogram = Histogram::<u64>::new_with_bounds(1, 1_000_000_000, 3)?;
-    let (mut start_ns, mut last_ns) = (0, 0);
+    let mut periods = Periods::default();
     for round in 0..WARM_UP + rounds {
-        if round == WARM_UP {
-            (start_ns, last_ns) = (now_ns(), now_ns());
-        }
         round_trip(round)?;
-        if round >= WARM_UP {
-            let now_ns = now_ns();
-            histogram.saturating_record(now_ns - last_ns);
-            last_ns = now_ns;
+        if round + 1 >= WARM_UP {
+            periods.note(now_ns());
         }
     }
-    let mean_ns = (last_ns - start_ns) as f64 / rounds as f64;
-    let at = |quantile| histogram.value_at_quantile(quantile);
     // Standard output may be the ring itself.
-    eprintln!("{mean_ns} {} {}", at(0.5), at(0.99));
+    eprintln!("{}", periods.summary());
     Ok(())
 }
 

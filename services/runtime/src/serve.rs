@@ -1,20 +1,17 @@
-//! The loop that every service runs, and how it waits.
-//!
-//! All processes of a ring share one core: each yields to the next, which then finds what it waits for.
-//! Nobody spins, and nobody sleeps while ticks flow.
+//! The loop that every service runs.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::yield_now;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use config::RunConfig;
 use ipc_types::{BatchHeader, Status, WakeRole};
 
-use crate::bus::SLEEPS_AFTER_NS;
 use crate::chaos::{Saboteur, Spread};
 use crate::clock::now_ns;
+use crate::periods::Measured;
+use crate::waiting::{Wait, Waiting, lock_memory};
 use crate::{Attachment, Bus};
 
 /// What every service does first: reads its environment, ties itself to the orchestrator, starts its log,
@@ -30,7 +27,7 @@ pub fn join() -> Result<(Attachment, Bus, RunConfig)> {
     let text =
         std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
     let config = RunConfig::from_resolved(&text)?;
-    let bus = Bus::attach(&attachment.names, attachment.max_len)?;
+    let bus = Bus::attach(&attachment.names, attachment.max_len)?.waiting(attachment.wait);
     Ok((attachment, bus, config))
 }
 
@@ -75,11 +72,6 @@ pub struct Counters {
     pub pacing: u32,
 }
 
-/// Yields before a process may sleep: on a busy core each one can take a time slice, on an idle one they
-/// are over within `SLEEPS_AFTER_NS`.
-const YIELDS: u32 = 64;
-/// Longest sleep: bounds what a lost wake-up could cost.
-const NAP: Duration = Duration::from_millis(20);
 /// Between signs of life; a fifth of the orchestrator's patience.
 const BEAT_NS: u64 = 100_000_000;
 /// Polls between looks at the clock and for new readers.
@@ -103,31 +95,38 @@ pub fn serve(
     beat.send(now_ns(), service)?;
     tracing::info!(?role, "ready");
 
-    let mut order = RingOrder::new(attachment.names.run ^ attachment.incarnation);
-    let mut waiting = Waiting::default();
+    if attachment.fifo.is_some()
+        && let Err(why) = lock_memory()
+    {
+        tracing::warn!(%why, "memory is not locked");
+    }
+    // Only where all of the ring share a core is there an order in which they run.
+    let mut order = (role == WakeRole::Supervisor && attachment.wait == Wait::Yield)
+        .then(|| RingOrder::new(attachment.names.run ^ attachment.incarnation));
+    let mut waiting = Waiting::new(attachment.wait);
     let mut saboteur = Saboteur::from_env(role, &attachment.names.root);
+    let mut measured = if role == WakeRole::Vehicle { Measured::from_env() } else { None };
     let mut polls = 0u32;
     loop {
         polls = polls.wrapping_add(1);
         let mut look = polls.is_multiple_of(LOOK_EVERY);
         if service.poll()? {
-            if role == WakeRole::Supervisor {
+            if let Some(order) = &mut order {
                 order.note(waiting.has_waited());
             }
-            waiting.progress();
+            if let Some(measured) = &mut measured {
+                let Counters { batch, tick, .. } = service.status();
+                measured.note((batch, tick), now_ns());
+            }
             // A step may take long, as a slow vehicle's does: then every one of them is looked behind.
             look |= beat.is_due(now_ns());
             if let Some(saboteur) = &mut saboteur {
                 saboteur.strike(service.status());
             }
-            yield_now();
+            waiting.progress();
         } else if waiting.may_sleep() {
-            bus.look_for_readers();
-            let due = Duration::from_nanos(service.due_ns().saturating_sub(now_ns()));
-            alarm.wait(NAP.min(due));
+            Waiting::sleep(bus, &alarm, service.due_ns());
             look = true;
-        } else {
-            yield_now();
         }
         if look {
             bus.look_for_readers();
@@ -139,37 +138,6 @@ pub fn serve(
     }
     tracing::info!(?role, "stopped");
     Ok(())
-}
-
-/// When a reader may sleep: after `YIELDS` looks in vain, and `SLEEPS_AFTER_NS` behind the first one.
-///
-/// Who sleeps earlier misses messages, because writers count on it: see [`crate::Outlet::send`].
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Waiting {
-    looks_in_vain: u32,
-    since_ns: u64,
-}
-
-impl Waiting {
-    /// There was a message.
-    pub fn progress(&mut self) {
-        self.looks_in_vain = 0;
-    }
-
-    /// Whether the last look was in vain.
-    pub fn has_waited(&self) -> bool {
-        self.looks_in_vain > 0
-    }
-
-    /// Notes a look in vain; whether the reader may sleep after it, else it yields and looks again.
-    pub fn may_sleep(&mut self) -> bool {
-        self.looks_in_vain += 1;
-        if self.looks_in_vain == 1 {
-            self.since_ns = now_ns();
-        }
-        // A sleeper's looks go on counting: once it may sleep, it may until the next message.
-        self.looks_in_vain >= YIELDS && now_ns() - self.since_ns >= SLEEPS_AFTER_NS
-    }
 }
 
 /// A flag that SIGINT and SIGTERM raise.

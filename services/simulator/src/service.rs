@@ -23,7 +23,7 @@ use crate::{Observation, SimulatedVehicle};
 pub fn run() -> Result<()> {
     let started_ns = now_ns();
     let (attachment, bus, config) = join()?;
-    attachment.pin();
+    attachment.take_place();
     let mut simulator = Simulator::new(&bus, config, attachment.names.run)?;
     if simulator.config.run.realtime {
         simulator.clocked = Some(Clocked::new(&simulator.config, started_ns));

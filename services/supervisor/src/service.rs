@@ -22,7 +22,7 @@ use crate::{Movement, Passed, State, Wanted, Watch};
 pub fn run() -> Result<()> {
     let started_ns = now_ns();
     let (attachment, bus, config) = join()?;
-    attachment.pin();
+    attachment.take_place();
     let mut supervisor = Supervisor::new(&bus, &config, attachment.names.run, started_ns)?;
     serve(&attachment, &bus, WakeRole::Supervisor, &mut supervisor)
 }

@@ -1,0 +1,137 @@
+//! What the pure cores cost, one by one: the work of a tick without any pipeline around it.
+//!
+//! `rollout_tick` is all of a tick; what stands above it should add up to about as much.
+
+use config::{Gains, Layers, RunConfig};
+use controller::{ControlLaw, DriveController, Seen};
+use divan::counter::ItemsCount;
+use divan::{Bencher, black_box};
+use rollout::Rollout;
+use simulator::SimulatedVehicle;
+use supervisor::{Movement, Wanted, Watch};
+use tracking::{Pose, Reference, ZoneTracker, tracking_error};
+use trainer::{DriveRecord, Learner};
+
+fn main() {
+    divan::main();
+}
+
+const MANEUVERS: [&str; 3] = ["lane_change", "roundabout", "circuit"];
+
+fn config(maneuver: &str, vehicle: &str) -> RunConfig {
+    let mut layers = Layers::maneuver(maneuver).expect("a preset");
+    layers.set_vehicle("bench", vehicle).expect("a preset");
+    layers.resolve().expect("the presets are sound")
+}
+
+fn gains() -> Gains {
+    Gains { kv: 3.0, kl: 21.0, ks: 21.0, ki: 0.7 }
+}
+
+fn pose() -> Pose {
+    Pose { x_m: 1.0, y_m: 0.1, yaw_rad: 0.02 }
+}
+
+#[divan::bench]
+fn error_in_the_vehicle_frame(bencher: Bencher) {
+    let reference = Pose { x_m: 1.5, y_m: -0.1, yaw_rad: 0.3 };
+    bencher.bench(|| tracking_error(black_box(reference), black_box(pose())));
+}
+
+#[divan::bench(args = MANEUVERS)]
+fn reference_advances(bencher: Bencher, maneuver: &str) {
+    let config = config(maneuver, "tesla_model_3");
+    let (mut reference, mut tick) = (Reference::new(&config), 0);
+    bencher.bench_local(move || {
+        tick = (tick + 1) % config.ticks();
+        if tick == 0 {
+            reference.reset();
+        }
+        reference.advance(tick, black_box(pose()))
+    });
+}
+
+#[divan::bench]
+fn control_law(bencher: Bencher) {
+    let mut law = ControlLaw::new(&config("lane_change", "tesla_model_3"));
+    let error = tracking_error(Pose { x_m: 1.5, y_m: -0.1, yaw_rad: 0.3 }, pose());
+    bencher.bench_local(move || law.command(black_box(gains()), black_box(error)));
+}
+
+#[divan::bench]
+fn controller_tick(bencher: Bencher) {
+    let config = config("roundabout", "tesla_model_3");
+    let mut drive = DriveController::new(&config);
+    let mut tick = config.ticks();
+    let seen = Seen { measured: pose(), truth: Some(pose()), collision: false };
+    bencher.bench_local(move || {
+        tick += 1;
+        if tick >= config.ticks() {
+            drive.reset(gains(), config.ticks());
+            tick = 0;
+        }
+        drive.tick(tick, black_box(seen))
+    });
+}
+
+#[divan::bench(args = ["tesla_model_3", "tesla_model_3_guarded"])]
+fn gate_and_watch(bencher: Bencher, vehicle: &str) {
+    let mut watch = Watch::new(&config("lane_change", vehicle));
+    let wanted = Wanted { speed_mps: 2.0, yaw_rate_radps: 0.1, steering_rad: 0.05 };
+    let movement = Movement { pose: pose(), speed_mps: 2.0, yaw_rate_radps: 0.1 };
+    let mut tick = 0;
+    bencher.bench_local(move || {
+        tick += 1;
+        watch.see(tick, black_box(movement));
+        watch.command(0.01, 0, Some(black_box(wanted)))
+    });
+}
+
+#[divan::bench]
+fn zone(bencher: Bencher) {
+    let mut zones = ZoneTracker::new(&config("circuit", "tesla_model_3"));
+    bencher.bench_local(move || zones.update(black_box(pose()), black_box(1.0)));
+}
+
+#[divan::bench(args = ["tesla_model_3", "tesla_model_3_dynamic"])]
+fn vehicle_step(bencher: Bencher, vehicle: &str) {
+    let mut car = SimulatedVehicle::new(&config("lane_change", vehicle));
+    car.reset(Pose::default(), None);
+    bencher.bench_local(move || {
+        car.step(black_box(2.0), black_box(0.05));
+        car.observe()
+    });
+}
+
+/// A whole drive, counted in ticks.
+#[divan::bench(args = MANEUVERS, sample_size = 1)]
+fn rollout_tick(bencher: Bencher, maneuver: &str) {
+    let config = config(maneuver, "tesla_model_3");
+    let mut rollout = Rollout::new(&config);
+    bencher
+        .counter(ItemsCount::new(config.ticks()))
+        .bench_local(move || rollout.drive(black_box(gains()), None));
+}
+
+/// A step of Q-learning behind a drive.
+#[divan::bench]
+fn learner_step(bencher: Bencher) {
+    let config = config("lane_change", "tesla_model_3");
+    let drive = DriveRecord {
+        mean_abs_along_m: 0.3,
+        mean_abs_cross_m: 0.2,
+        mean_abs_heading_rad: 0.1,
+        along_mse_m2: 0.4,
+        cross_mse_m2: 0.1,
+        ticks: 500,
+        collision: false,
+        trace: 1,
+    };
+    let mut learner = Learner::new(&config, 0, 0.5);
+    bencher.bench_local(move || {
+        if learner.is_finished() {
+            learner = Learner::new(&config, 0, 0.5);
+        }
+        learner.learn(black_box(&drive));
+    });
+}
