@@ -100,8 +100,8 @@ mod with {
                 max_len: 1,
                 incarnation: 1,
                 core: None,
-        wait: Wait::default(),
-        fifo: None,
+                wait: Wait::default(),
+                fifo: None,
                 parent: std::process::id() as i32,
                 chaos: None,
             };

@@ -136,7 +136,13 @@ pub fn status(as_json: bool) -> Result<(), Failure> {
         );
         let mut table = Table::new();
         table.load_style(NOTHING).set_header([
-            "  process", "pid", "state", "restarts", "dropped", "rejected", "late",
+            "  process",
+            "pid",
+            "state",
+            "restarts",
+            "dropped",
+            "rejected",
+            "late",
         ]);
         for process in state.processes {
             table.add_row([

@@ -202,13 +202,7 @@ impl Member {
             State::Ready { .. } => "ready",
         };
         let ProcessFacts { name, pid, restarts, refused } = self.facts();
-        ProcessState {
-            name: name.to_owned(),
-            pid,
-            restarts,
-            state: state.to_owned(),
-            refused,
-        }
+        ProcessState { name: name.to_owned(), pid, restarts, state: state.to_owned(), refused }
     }
 
     /// Samples that no incarnation took, as far as they told.

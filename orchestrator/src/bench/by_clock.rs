@@ -127,7 +127,7 @@ impl Drive {
             .arg(folder.path().join("run"))
             .args(["--set", &format!("drive.loop_time_s={loop_s}")])
             // A circle without an end.
-            .args(["--set", "path.pieces=[{kind='arc',radius_m=18.0,angle_deg=36000.0}]"])
+            .args(["--set", "path.pieces=[{kind='arc',radius_m=100.0,angle_deg=3600.0}]"])
             .args(subject.fifo.then_some("--fifo"))
             .process_group(0)
             .stdin(Stdio::null())

@@ -128,7 +128,11 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
     let rows: Vec<(Subject, Timing)> =
         subjects.into_iter().zip(rounds.iter().map(|timings| medians(timings))).collect();
     if !args.only.is_empty() {
-        return if args.json { print_json(&rows, json!({})) } else { print_rows(&rows, args.rounds) };
+        return if args.json {
+            print_json(&rows, json!({}))
+        } else {
+            print_rows(&rows, args.rounds)
+        };
     }
     if !args.json {
         tell!("waiting behind a slow vehicle");

@@ -21,8 +21,8 @@ use comfy_table::presets::NOTHING;
 use config::launch::{Launch, Role};
 use config::{Layers, RunConfig};
 use ipc_types::Status;
-use runtime::{Attachment, Wait};
 use runtime::run::{LOCK_FILE, RunNames, sweep_dead_runs};
+use runtime::{Attachment, Wait};
 use serde_json::json;
 
 use crate::cli::ConformanceArgs;

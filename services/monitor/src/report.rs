@@ -4,7 +4,7 @@
 //! the monitor has begun. A percentile of nothing is 0: `n` tells the two apart.
 
 use hdrhistogram::Histogram;
-use ipc_types::{Command, has};
+
 use serde::Serialize;
 
 use crate::latency::{Counts, Figures, Hop, Latency};
@@ -342,6 +342,7 @@ pub fn human(ns: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ipc_types::{Command, has};
 
     #[test]
     fn a_row_holds_what_the_json_line_holds() {

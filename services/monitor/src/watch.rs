@@ -96,7 +96,11 @@ impl Watch {
             names: names.clone(),
             latency: Latency::new(names.run, budget_ns),
             total: Figures::new(),
-            vehicle: Vehicle { slot, gate: Safety::state_name(Safety::NORMAL), ..Vehicle::default() },
+            vehicle: Vehicle {
+                slot,
+                gate: Safety::state_name(Safety::NORMAL),
+                ..Vehicle::default()
+            },
             is_in_range: false,
             budget_ns,
             restarts: BTreeMap::new(),

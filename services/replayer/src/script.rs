@@ -59,7 +59,9 @@ pub fn check(file: &Path) -> Result<String> {
     );
     if let (Some(number), Some(before)) = (beginning("file"), recording.beginning.get("continues"))
     {
-        bail!(why(&format!("is part {number} of a recording, behind {before}; name the first one")));
+        bail!(why(&format!(
+            "is part {number} of a recording, behind {before}; name the first one"
+        )));
     }
     ensure!(
         beginning("from_first_tick") == Some("true"),

@@ -1,5 +1,6 @@
 //! How a process learns which run it belongs to: its environment.
 
+use std::num::NonZero;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -122,6 +123,8 @@ impl Attachment {
     /// Takes the place on the machine that this process was given: its core, its priority. A refusal costs speed and
     /// nothing else.
     pub fn take_place(&self) {
+        // The kernel may wake a sleeper 50 µs late to save a little power: here that is half a tick's way.
+        let _ = rustix::thread::set_current_timer_slack(NonZero::new(1));
         if let Some(core) = self.core {
             let mut cores = rustix::thread::CpuSet::new();
             cores.set(core);

@@ -21,6 +21,8 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use ipc_types::topics::{MAX_NODES, MAX_SUBSCRIBERS, OBSERVER_BUFFER};
 use ipc_types::{Message, WakeRole, for_each_topic};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::time::Timespec;
 
 use crate::chaos::Disturbance;
 use crate::clock::now_ns;
@@ -162,7 +164,14 @@ impl Bus {
             M::TOPIC.wakes.iter().map(|role| self.notifier(*role)).collect::<Result<_, _>>()?;
         let disturbance = Disturbance::from_env(M::TOPIC.name);
         let sleeps_after_ns = self.wait.sleeps_after_ns();
-        Ok(Outlet { topic, publisher, wakes, sleeps_after_ns, last_send_ns: Cell::new(0), disturbance })
+        Ok(Outlet {
+            topic,
+            publisher,
+            wakes,
+            sleeps_after_ns,
+            last_send_ns: Cell::new(0),
+            disturbance,
+        })
     }
 
     /// The right to hear messages of one kind, as a participant.
@@ -257,9 +266,12 @@ pub struct Alarm {
 impl Alarm {
     /// Sleeps until somebody notifies, or for `at_most`. May also return for no reason.
     pub fn wait(&self, at_most: Duration) {
-        // The socket beneath takes whole microseconds, and 0 of them for a time without end.
-        let at_most = at_most.max(Duration::from_micros(10));
-        let _ = self.listener.timed_wait(|_| {}, at_most);
+        let Ok(at_most) = Timespec::try_from(at_most) else { return };
+        // Not the listener's own timed wait: a socket's timeout is counted in the kernel's ticks of some
+        // milliseconds, and who paces by the clock would come as much too late.
+        if let Ok(1) = poll(&mut [PollFd::new(self, PollFlags::IN)], Some(&at_most)) {
+            self.clear();
+        }
     }
 
     /// Forgets the notifications that have come.
