@@ -62,13 +62,21 @@ struct Slot {
     /// The last odometry that could be believed.
     seen: Seen,
     has_truth: bool,
-    decision: Decision,
+    answer: Answer,
     report: Option<DriveReport>,
     /// This process joined the drive on its way.
     joined: bool,
     /// The zone whose gains the next tick must have.
     awaited: Option<u32>,
     clock: Clock,
+}
+
+/// What was made of the last tick.
+#[derive(Debug, Clone, Copy, Default)]
+struct Answer {
+    command: crate::RawCommand,
+    error: tracking::TrackingError,
+    reference_along_m: f64,
 }
 
 /// The clock of a slot's reference. In lockstep it is the tick.
@@ -147,20 +155,32 @@ impl Controller {
         if self.real_time && !self.hear_safety(header.tick, odometry)? {
             return Ok(());
         }
-        for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
-            if !self.real_time {
+        let Self { slots, counters, real_time, .. } = self;
+        let mut sent_ns = 0;
+        // In one go for each vehicle: a fleet does not fit into the nearest cache.
+        let answer = |index: usize| {
+            let slot = &mut slots[index];
+            if !*real_time {
                 slot.clock.phase = header.tick;
             }
-            let believed = slot.tick(odometry);
-            self.counters.rejected += u64::from(!believed);
-        }
+            let believed = slot.tick(&odometry[index]);
+            counters.rejected += u64::from(!believed);
+            slot.raw_command()
+        };
+        self.raw_commands.send_stamped(odometry.len(), answer, || {
+            sent_ns = now_ns();
+            TickHeader {
+                controller_received_ns: received_ns,
+                controller_sent_ns: sent_ns,
+                ..header
+            }
+        })?;
         let slots = &self.slots;
         let header = TickHeader {
             controller_received_ns: received_ns,
-            controller_sent_ns: now_ns(),
+            controller_sent_ns: sent_ns,
             ..header
         };
-        self.raw_commands.send(header, slots.len(), |index| slots[index].raw_command())?;
         if self.errors.has_readers() {
             self.errors.send_quietly(header, slots.len(), |index| slots[index].tracking_error())?;
         }
@@ -260,12 +280,7 @@ impl Slot {
             request,
             seen: Seen { measured: start, truth: None, collision: false },
             has_truth: false,
-            decision: Decision {
-                command: crate::RawCommand::default(),
-                error: tracking::TrackingError::default(),
-                reference_along_m: 0.0,
-                ended: None,
-            },
+            answer: Answer::default(),
             report: None,
             joined: false,
             awaited: None,
@@ -339,8 +354,10 @@ impl Slot {
             self.seen = seen;
             self.has_truth = has_truth;
         }
-        self.decision = self.drive.tick(self.clock.phase, self.seen);
-        self.report = self.decision.ended.map(|ended| self.to_report(ended));
+        let Decision { command, error, reference_along_m, ended } =
+            self.drive.tick(self.clock.phase, self.seen);
+        self.answer = Answer { command, error, reference_along_m };
+        self.report = ended.map(|ended| self.to_report(ended));
         believed
     }
 
@@ -370,14 +387,14 @@ impl Slot {
     }
 
     fn raw_command(&self) -> RawCommand {
-        let command = self.decision.command;
+        let command = self.answer.command;
         let flags = if self.report.is_some() { Command::ENDED } else { 0 }
             | if self.clock.frozen { RawCommand::FROZEN } else { 0 };
         RawCommand {
             speed_mps: command.speed_mps,
             yaw_rate_radps: command.yaw_rate_radps,
             steering_rad: command.steering_rad,
-            reference_along_m: self.decision.reference_along_m,
+            reference_along_m: self.answer.reference_along_m,
             origin_m: self.drive.origin_m(),
             // A drive has at most a million ticks.
             phase: self.clock.phase as u32,
@@ -386,12 +403,12 @@ impl Slot {
     }
 
     fn tracking_error(&self) -> TrackingError {
-        let error = self.decision.error;
+        let error = self.answer.error;
         TrackingError {
             along_track_m: error.along_track_m,
             cross_track_m: error.cross_track_m,
             heading_rad: error.heading_rad,
-            reference_along_m: self.decision.reference_along_m,
+            reference_along_m: self.answer.reference_along_m,
         }
     }
 }

@@ -322,8 +322,22 @@ impl<M: Message> Outlet<M> {
         len: usize,
         write: impl FnMut(usize) -> M,
     ) -> Result<(), BusError> {
+        self.send_stamped(len, write, || header)
+    }
+
+    /// As [`Outlet::send`], with a header that is made when the elements are written: their making may be the work of
+    /// the tick, and a stamp of the sending is to lie behind it.
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn send_stamped(
+        &self,
+        len: usize,
+        write: impl FnMut(usize) -> M,
+        header: impl FnOnce() -> M::Header,
+    ) -> Result<(), BusError> {
         let before_ns = now_ns();
-        self.send_quietly(header, len, write)?;
+        self.publish(len, write, header)?;
         if now_ns() - self.last_send_ns.replace(before_ns) >= self.sleeps_after_ns {
             for notifier in &self.wakes {
                 // Nobody may be listening, which is no mistake.
@@ -343,18 +357,25 @@ impl<M: Message> Outlet<M> {
         len: usize,
         write: impl FnMut(usize) -> M,
     ) -> Result<(), BusError> {
+        self.publish(len, write, || header)
+    }
+
+    fn publish(
+        &self,
+        len: usize,
+        write: impl FnMut(usize) -> M,
+        header: impl FnOnce() -> M::Header,
+    ) -> Result<(), BusError> {
         if self.disturbance.as_ref().is_some_and(Disturbance::swallows) {
             return Ok(());
         }
-        let mut sample = self
+        let sample = self
             .publisher
             .loan_slice_uninit(len)
             .map_err(refused(|| format!("loan {len} elements of {}", M::TOPIC.name)))?;
-        *sample.user_header_mut() = header;
-        sample
-            .write_from_fn(write)
-            .send()
-            .map_err(refused(|| format!("send on {}", M::TOPIC.name)))?;
+        let mut sample = sample.write_from_fn(write);
+        *sample.user_header_mut() = header();
+        sample.send().map_err(refused(|| format!("send on {}", M::TOPIC.name)))?;
         Ok(())
     }
 }

@@ -161,10 +161,8 @@ impl Batch {
 impl Slot {
     /// As [`Slot::observe`], of a vehicle that goes on behind the end of its drive.
     fn observe_clocked(&mut self) -> Odometry {
-        let ended = std::mem::take(&mut self.ended);
         self.observe();
-        self.ended = ended;
-        self.last.status |= if ended { Odometry::ENDED } else { 0 }
+        self.last.status |= if self.ended { Odometry::ENDED } else { 0 }
             | if self.own_stop { Odometry::OWN_STOP } else { 0 };
         self.last
     }

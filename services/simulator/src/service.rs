@@ -106,6 +106,7 @@ impl Simulator {
             self.counters.batch = header.batch;
             return Ok(());
         }
+        self.slots.iter_mut().for_each(Slot::observe);
         self.allowed = allowed_at_start(requests.iter().fold(0, |flags, it| flags | it.flags));
         self.publish(TickHeader {
             run: self.run,
@@ -123,8 +124,8 @@ impl Simulator {
         header.odometry_sent_ns = now_ns();
         self.counters.batch = header.batch;
         self.counters.tick = header.tick;
-        let slots = &mut self.slots;
-        self.odometry.send(header, slots.len(), |index| slots[index].observe())?;
+        let slots = &self.slots;
+        self.odometry.send(header, slots.len(), |index| slots[index].last)?;
         self.waiting = Some(header);
         Ok(())
     }
@@ -142,6 +143,7 @@ impl Simulator {
         for (slot, command) in self.slots.iter_mut().zip(commands) {
             slot.ended |= has(command.flags, Command::ENDED);
             if slot.ended {
+                slot.last.status |= Odometry::ENDED;
                 continue;
             }
             let (mut speed_mps, mut steering_rad) = (command.speed_mps, command.steering_rad);
@@ -150,6 +152,7 @@ impl Simulator {
                 (speed_mps, steering_rad) = (0.0, 0.0);
             }
             slot.vehicle.step(speed_mps, steering_rad);
+            slot.observe();
         }
         if self.slots.iter().all(|slot| slot.ended) {
             self.waiting = None;
@@ -167,11 +170,8 @@ impl Simulator {
 }
 
 impl Slot {
-    pub(crate) fn observe(&mut self) -> Odometry {
-        if self.ended {
-            self.last.status |= Odometry::ENDED;
-            return self.last;
-        }
+    /// Takes what the sensors tell now: what is published next.
+    pub(crate) fn observe(&mut self) {
         let Observation { measured, truth, speed_mps, yaw_rate_radps, steering_rad, collision } =
             self.vehicle.observe();
         let wire = |pose: Pose| WirePose { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad };
@@ -184,7 +184,6 @@ impl Slot {
             status: Odometry::HAS_TRUTH | if collision { Odometry::COLLISION } else { 0 },
             reserved: 0,
         };
-        self.last
     }
 }
 

@@ -3,6 +3,8 @@
 //! Pure: the seed is an argument, one call of [`SimulatedVehicle::step`] is one tick. The state lives at
 //! the rear axle; what is reported is the tracked point, `tracked_point_m` ahead of it.
 
+use std::sync::Arc;
+
 use config::{Noise, RunConfig, Vehicle};
 use tracking::Pose;
 
@@ -30,7 +32,8 @@ pub struct Observation {
 /// One simulated vehicle.
 #[derive(Debug, Clone)]
 pub struct SimulatedVehicle {
-    vehicle: Vehicle,
+    /// Shared by a fleet.
+    vehicle: Arc<Vehicle>,
     noise_settings: Noise,
     tick_s: f64,
     /// Share of a step that a pedal makes in one tick.
@@ -53,7 +56,7 @@ pub struct SimulatedVehicle {
 impl SimulatedVehicle {
     /// A vehicle of the configured kind at the start of the configured path.
     pub fn new(config: &RunConfig) -> Self {
-        let vehicle = config.vehicle.clone();
+        let vehicle = Arc::new(config.vehicle.clone());
         let tick_s = config.drive.tick_s;
         let mut new = Self {
             noise_settings: config.noise,

@@ -68,6 +68,9 @@ impl Plausibility {
     }
 
     fn is_jump(&self, dt_s: f64, last: Movement, now: Movement) -> bool {
+        if self.limit_m.is_infinite() && self.limit_rad.is_infinite() {
+            return false;
+        }
         let rate_radps = last.yaw_rate_radps.abs().max(now.yaw_rate_radps.abs());
         let speed_mps = last.speed_mps.abs().max(now.speed_mps.abs()) + rate_radps * self.reach_m;
         let moved_m = libm::hypot(now.pose.x_m - last.pose.x_m, now.pose.y_m - last.pose.y_m);

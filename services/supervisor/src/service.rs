@@ -191,8 +191,7 @@ impl Supervisor {
             self.counters.late += 1;
             return Ok(());
         }
-        self.hear_out(header, raw);
-        self.tell_zones(header)?;
+        self.hear_out(header, raw)?;
         self.send(header, received_ns, true)
     }
 
@@ -206,15 +205,17 @@ impl Supervisor {
             && stamp_ns <= now_ns
     }
 
-    /// Takes over what the controller says.
-    fn hear_out(&mut self, header: TickHeader, raw: &[RawCommand]) {
+    /// Takes over what the controller says, and announces zones that begin with the next tick, before this tick's
+    /// command.
+    fn hear_out(&mut self, header: TickHeader, raw: &[RawCommand]) -> Result<()> {
         let mut joins = false;
         if let Some(clocked) = &mut self.clocked {
             clocked.answered_ns = header.odometry_sent_ns;
             clocked.has_reference = true;
             joins = std::mem::take(&mut clocked.joins);
         }
-        for (slot, raw) in self.slots.iter_mut().zip(raw) {
+        self.entered.clear();
+        for (index, (slot, raw)) in self.slots.iter_mut().zip(raw).enumerate() {
             slot.raw = *raw;
             slot.raw_tick = header.tick;
             slot.ended |= has(raw.flags, Command::ENDED);
@@ -224,7 +225,22 @@ impl Supervisor {
                     slot.watch.stop(Safety::RESTARTED);
                 }
             }
+            if slot.ended {
+                continue;
+            }
+            let zone = slot.tracker.update(slot.measured, raw.reference_along_m);
+            if zone != slot.zone {
+                slot.zone = zone;
+                let (from_tick, zone) = (header.tick + 1, zone as u32);
+                self.entered.push(Zone { from_tick, slot: index as u32, zone });
+            }
         }
+        if !self.entered.is_empty() {
+            let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
+            let entered = &self.entered;
+            self.zones.send(header, entered.len(), |index| entered[index])?;
+        }
+        Ok(())
     }
 
     /// Sends a command: what the raw command wants, if it is an answer, within limits; else one of our own.
@@ -278,28 +294,6 @@ impl Supervisor {
                 ..watch.safety()
             }
         })?;
-        Ok(())
-    }
-
-    /// Announces zones that begin with the next tick, before this tick's command.
-    fn tell_zones(&mut self, header: TickHeader) -> Result<()> {
-        self.entered.clear();
-        for (index, slot) in self.slots.iter_mut().enumerate() {
-            if slot.ended {
-                continue;
-            }
-            let zone = slot.tracker.update(slot.measured, slot.raw.reference_along_m);
-            if zone != slot.zone {
-                slot.zone = zone;
-                let (from_tick, zone) = (header.tick + 1, zone as u32);
-                self.entered.push(Zone { from_tick, slot: index as u32, zone });
-            }
-        }
-        if !self.entered.is_empty() {
-            let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
-            let entered = &self.entered;
-            self.zones.send(header, entered.len(), |index| entered[index])?;
-        }
         Ok(())
     }
 
@@ -386,7 +380,8 @@ impl Service for Supervisor {
             self.start_batch(request.header(), request.items());
             return Ok(true);
         }
-        if self.hear_rearms()? {
+        // In lockstep nothing stops for good.
+        if self.clocked.is_some() && self.hear_rearms()? {
             return Ok(true);
         }
         let raw = match (self.raw_commands.receive()?, self.early.take()) {

@@ -1,5 +1,7 @@
 //! Paths as chains of straight and circular segments, each with its closed form.
 
+use std::sync::Arc;
+
 use config::{PathConfig, Piece};
 
 use crate::{Pose, wrap_angle};
@@ -18,7 +20,8 @@ pub struct PathPoint {
 /// A path, addressed by the distance along it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
-    segments: Vec<Segment>,
+    /// Shared by all copies: a fleet drives the same path.
+    segments: Arc<[Segment]>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -103,7 +106,7 @@ impl Path {
         if config.points.is_empty() {
             return Self::from_pieces(config);
         }
-        Self { segments: arcs_through(&config.points) }
+        Self { segments: arcs_through(&config.points).into() }
     }
 
     fn from_pieces(config: &PathConfig) -> Self {
@@ -132,7 +135,7 @@ impl Path {
             segments.push(segment);
         }
         assert!(!segments.is_empty(), "a resolved path has a piece");
-        Self { segments }
+        Self { segments: segments.into() }
     }
 
     /// Length of the path.
@@ -354,7 +357,7 @@ mod tests {
                 let beside = path.project(0.9 * pose.x_m, 0.9 * pose.y_m, along_m, 3.0);
                 assert!((beside.offset_m - (0.1 * radius_m)).abs() < 1e-2);
             }
-            for segment in &path.segments {
+            for segment in path.segments.iter() {
                 let apart = segment.curvature * radius_m - 1.0;
                 assert!(apart.abs() < 1e-2, "R {radius_m}, {count} points: curvature {apart}");
             }
