@@ -183,7 +183,7 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
         }
         ServiceCommand::Calls => time_calls(),
         ServiceCommand::Recorder => recorder::service::run(),
-        ServiceCommand::Replayer => replayer::vehicle::run(),
+        ServiceCommand::Replayer { file } => replayer::vehicle::run(file.as_deref()),
         ServiceCommand::Reviewer => replayer::reviewer::run(),
         ServiceCommand::Ros2Vehicle => ros2_vehicle::run(),
         ServiceCommand::Cleaner => runtime::cleanup::run_helper(),

@@ -28,6 +28,19 @@ fn our_simulator_passes_and_leaves_nothing() {
 }
 
 #[test]
+fn a_recording_passes_as_far_as_one_can_that_nobody_steers() {
+    let sandbox = Sandbox::new();
+    sandbox.json("out", &["drive", "lane_change", "--record"]);
+    let recording = sandbox.path("out/recording.mcap").display().to_string();
+    let args = ["conformance", "--json", "--", "pathtune", "service", "replayer", &recording];
+    let output = sandbox.run(&args);
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((output.status.code(), &found["failed"]), (Some(0), &0.into()), "{found:#}");
+    assert!(found["passed"].as_u64().unwrap() >= 40, "{found:#}");
+    sandbox.assert_clean();
+}
+
+#[test]
 fn nothing_moves_unless_it_is_allowed() {
     let sandbox = Sandbox::new();
     let args = ["conformance", "--json", "--", "pathtune", "service", "simulator"];

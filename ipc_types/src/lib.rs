@@ -10,6 +10,7 @@
 //! the layout, and the build fails where hash and layout differ: see [`layout`]. [`schema`] tells it all to
 //! Python and C.
 
+mod allowance;
 pub mod layout;
 mod messages;
 #[macro_use]
@@ -17,5 +18,6 @@ pub mod topics;
 // Behind the topics, whose macro it uses.
 pub mod schema;
 
+pub use allowance::Allowance;
 pub use messages::*;
 pub use topics::{Message, Topic, WakeRole};

@@ -584,7 +584,10 @@ pub enum ServiceCommand {
     Trainer,
     Schedule,
     Recorder,
-    Replayer,
+    Replayer {
+        /// A recording that answers whatever is asked for, instead of the run's order
+        file: Option<PathBuf>,
+    },
     Reviewer,
     #[command(name = "ros2-vehicle")]
     Ros2Vehicle,

@@ -221,15 +221,24 @@ fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {
     say!(
         "medians of {rounds} rounds, all rows in turn; the processes of a ring or pipeline share one core"
     );
-    let (ring, sixteen) =
-        (of(Subject::Ring(Transport::SharedMemory, 1)), of(Subject::Pipeline(16)));
-    say!(
-        "fleet of 16: a vehicle and tick beyond plain calls costs {:.2} of a sixteenth of the bare ring's tick",
-        (sixteen / 16.0 - calls) / (ring / 16.0),
-    );
-    let alone = of(Subject::Pipeline(1));
+    let median = |subject: Subject| {
+        rows.iter().find(|(other, _)| *other == subject).map(|(_, timing)| timing.p50_ns)
+    };
+    let (ring, one) =
+        (median(Subject::Ring(Transport::SharedMemory, 1)), median(Subject::Pipeline(1)));
+    if let (Some(ring), Some(one)) = (ring, one) {
+        say!("fleet of 1: the median tick is {:.2} of the bare ring's", one / ring);
+    }
+    if let (Some(ring), Some(sixteen)) = (ring, median(Subject::Pipeline(16))) {
+        say!(
+            "fleet of 16: a vehicle and tick beyond plain calls costs {:.2} of a sixteenth of the bare ring's median tick",
+            (sixteen / 16.0 - calls) / (ring / 16.0),
+        );
+    }
     for count in [1, 3, 6] {
-        say!("{count} observers: {:.3} × the tick without", of(Subject::Observers(count)) / alone);
+        if let (Some(one), Some(watched)) = (one, median(Subject::Observers(count))) {
+            say!("{count} observers: the median tick is {:.3} of that without", watched / one);
+        }
     }
     for (subject, timing) in rows {
         if let Subject::Pipelines(count, fleet) = *subject {

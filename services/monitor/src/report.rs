@@ -342,7 +342,7 @@ pub fn human(ns: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ipc_types::{Command, has};
+    use ipc_types::Command;
 
     #[test]
     fn a_row_holds_what_the_json_line_holds() {

@@ -57,12 +57,6 @@ pub fn check(file: &Path) -> Result<String> {
         beginning("layout") == Some(&layout_digest()),
         why("was recorded by a version whose messages have another layout")
     );
-    if let (Some(number), Some(before)) = (beginning("file"), recording.beginning.get("continues"))
-    {
-        bail!(why(&format!(
-            "is part {number} of a recording, behind {before}; name the first one"
-        )));
-    }
     ensure!(
         beginning("from_first_tick") == Some("true"),
         why("does not begin with the first tick of its run; record it with --record")
@@ -83,6 +77,11 @@ pub fn check(file: &Path) -> Result<String> {
 /// Reads a recording with the messages of some channels, and the files that it is continued in.
 fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> {
     let mut parts = vec![Recording::read_only(first, &wanted)?];
+    let beginning = &parts[0].beginning;
+    if let (Some(number), Some(before)) = (beginning.get("file"), beginning.get("continues")) {
+        let file = first.display();
+        bail!("{file} is part {number} of a recording, behind {before}; name the first one");
+    }
     while let Some(next) =
         parts.last().and_then(|it| it.end.as_ref()).and_then(|end| end.get("continued_in"))
     {

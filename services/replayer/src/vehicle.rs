@@ -1,26 +1,40 @@
 //! The vehicle's role, filled with recorded odometry: commands move nothing, they only bring the next tick.
 
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use config::MAX_FLEET;
-use ipc_types::{BatchHeader, Command, Credit, DriveRequest, Odometry, TickHeader, WakeRole, has};
+use ipc_types::{
+    Allowance, BatchHeader, Command, Credit, DriveRequest, Odometry, TickHeader, WakeRole, has,
+};
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 
 use crate::script::{Batch, Order, batches, parse};
 
-/// Runs the process until it is asked to stop.
+/// Runs the process until it is asked to stop. With a file, the first batch of that recording answers whatever is asked
+/// for; else the batches of the run's order, each the request that names it.
 ///
 /// # Errors
 /// If it cannot join the run, the recording cannot be read, or the transport fails.
-pub fn run() -> Result<()> {
+pub fn run(file: Option<&Path>) -> Result<()> {
     let (attachment, bus, config) = join()?;
     attachment.take_place();
-    let order = Order::read(&attachment.folder)?;
-    let batches = batches(&order.file, &["odometry"])?;
-    let tick_ns = order.speed.map(|speed| (config.drive.tick_s * 1e9 / speed) as u64);
+    let (batches, speed) = match file {
+        Some(file) => (batches(file, &["odometry"])?, None),
+        None => {
+            let order = Order::read(&attachment.folder)?;
+            (batches(&order.file, &["odometry"])?, order.speed)
+        }
+    };
+    let tick_ns = speed.map(|speed| (config.drive.tick_s * 1e9 / speed) as u64);
     let mut replayer = Replayer::new(&bus, attachment.names.run, batches, tick_ns)?;
+    if file.is_some() {
+        replayer.for_any = true;
+        let slots = replayer.batches.first().map_or(0, |batch| batch.requests.len());
+        replayer.counters.capacity = slots as u32;
+    }
     serve(&attachment, &bus, WakeRole::Vehicle, &mut replayer)
 }
 
@@ -31,6 +45,8 @@ struct Replayer {
     odometry: Outlet<Odometry>,
     run: u64,
     batches: Vec<Batch>,
+    /// The first batch answers every request.
+    for_any: bool,
     /// Between two ticks, where the clock paces.
     tick_ns: Option<u64>,
     started_ns: u64,
@@ -41,7 +57,8 @@ struct Replayer {
     waiting: Option<TickHeader>,
     /// Header of the odometry that waits for the reviewer, or for its time.
     held_back: Option<TickHeader>,
-    allowed: u64,
+    /// What the batch's recorders allow.
+    allowance: Allowance,
     counters: Counters,
 }
 
@@ -54,13 +71,14 @@ impl Replayer {
             odometry: bus.outlet()?,
             run,
             batches,
+            for_any: false,
             tick_ns,
             started_ns: 0,
             batch: 0,
             ended: Vec::new(),
             waiting: None,
             held_back: None,
-            allowed: 0,
+            allowance: Allowance::new(&[]),
             counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
         })
     }
@@ -68,7 +86,11 @@ impl Replayer {
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) {
         (self.waiting, self.held_back) = (None, None);
         // The reviewer numbers its steps by the batches of the recording.
-        let batch = requests.first().map_or(usize::MAX, |request| request.step as usize);
+        let batch = match requests.first() {
+            Some(_) if self.for_any => 0,
+            Some(request) => request.step as usize,
+            None => usize::MAX,
+        };
         let fits = self.batches.get(batch).is_some_and(|it| it.requests.len() == requests.len());
         if header.run != self.run || !fits {
             self.counters.dropped += 1;
@@ -76,7 +98,7 @@ impl Replayer {
         }
         self.batch = batch;
         self.ended = vec![false; requests.len()];
-        self.allowed = Credit::AHEAD;
+        self.allowance = Allowance::new(requests);
         self.started_ns = now_ns();
         self.held_back = Some(TickHeader {
             run: self.run,
@@ -91,11 +113,12 @@ impl Replayer {
         while let Some(credit) = self.credits.receive()? {
             let of = credit.header();
             if (of.run, of.batch, of.attempt) == (self.run, header.batch, header.attempt) {
-                let ticks = credit.items().first().map_or(0, |credit| credit.ticks);
-                self.allowed = self.allowed.max(ticks + Credit::AHEAD);
+                credit.items().iter().for_each(|credit| self.allowance.grant(*credit));
+            } else {
+                self.counters.dropped += 1;
             }
         }
-        if header.tick >= self.allowed {
+        if !self.allowance.allows(header.tick) {
             return Ok(false);
         }
         let due_ns = self.started_ns + header.tick * self.tick_ns.unwrap_or_default();
@@ -117,7 +140,7 @@ impl Replayer {
         (self.counters.batch, self.counters.tick) = (header.batch, header.tick);
         self.odometry.send(header, self.ended.len(), |slot| {
             let mut seen = odometry.get(slot).copied().unwrap_or_default();
-            seen.status |= more;
+            seen.status |= more | if self.ended[slot] { Odometry::ENDED } else { 0 };
             seen
         })?;
         self.waiting = Some(header);
@@ -136,6 +159,8 @@ impl Replayer {
         self.waiting = None;
         for (ended, command) in self.ended.iter_mut().zip(commands) {
             *ended |= has(command.flags, Command::ENDED);
+            let is_finite = command.speed_mps.is_finite() && command.steering_rad.is_finite();
+            self.counters.rejected += u64::from(!is_finite && !*ended);
         }
         if !self.ended.iter().all(|ended| *ended) {
             self.held_back = Some(TickHeader {

@@ -6,8 +6,8 @@
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
-    BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WakeRole, WirePose,
-    has,
+    Allowance, BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WakeRole,
+    WirePose, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
@@ -42,8 +42,8 @@ struct Simulator {
     slots: Vec<Slot>,
     /// Header of the odometry that waits for its command; none between batches.
     waiting: Option<TickHeader>,
-    /// Ticks that each recorder allows to be published: without end, unless the batch asks for it.
-    allowed: [(u32, u64); 2],
+    /// What the batch's recorders allow.
+    allowance: Allowance,
     /// Header of the odometry that waits for a recorder.
     held_back: Option<TickHeader>,
     /// What real time adds.
@@ -70,7 +70,7 @@ impl Simulator {
             config,
             slots: Vec::new(),
             waiting: None,
-            allowed: allowed_at_start(0),
+            allowance: Allowance::new(&[]),
             held_back: None,
             clocked: None,
             counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
@@ -107,7 +107,7 @@ impl Simulator {
             return Ok(());
         }
         self.slots.iter_mut().for_each(Slot::observe);
-        self.allowed = allowed_at_start(requests.iter().fold(0, |flags, it| flags | it.flags));
+        self.allowance = Allowance::new(requests);
         self.publish(TickHeader {
             run: self.run,
             batch: header.batch,
@@ -117,7 +117,7 @@ impl Simulator {
     }
 
     fn publish(&mut self, mut header: TickHeader) -> Result<()> {
-        if self.allowed.iter().any(|(_, allowed)| header.tick >= *allowed) {
+        if !self.allowance.allows(header.tick) {
             self.held_back = Some(header);
             return Ok(());
         }
@@ -201,11 +201,7 @@ impl Simulator {
                 self.counters.dropped += 1;
                 continue;
             };
-            for (source, allowed) in &mut self.allowed {
-                if *source == credit.source {
-                    *allowed = (*allowed).max(credit.ticks.saturating_add(Credit::AHEAD));
-                }
-            }
+            self.allowance.grant(*credit);
         }
         if any {
             self.held_back = None;
@@ -213,15 +209,6 @@ impl Simulator {
         }
         Ok(any)
     }
-}
-
-/// Ticks that each recorder allows at the start of a batch with these flags.
-///
-/// Who records one drive asks for the next when it has the last; who records the whole run may still be
-/// busy with the batch before, and says when it is not.
-fn allowed_at_start(flags: u32) -> [(u32, u64); 2] {
-    [(DriveRequest::RECORDED, Credit::AHEAD), (DriveRequest::LOGGED, 0)]
-        .map(|(source, ahead)| (source, if has(flags, source) { ahead } else { u64::MAX }))
 }
 
 fn header_matches(a: TickHeader, b: TickHeader) -> bool {
