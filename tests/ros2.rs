@@ -437,6 +437,36 @@ mod with {
     }
 
     #[test]
+    fn the_user_is_told_what_is_missing_and_what_is_in_the_way() {
+        let Some(python) = python() else { return };
+        let (sandbox, domain) = (Sandbox::new(), own_domain());
+        let domain_is = format!("vehicle.ros2.domain_id={domain}");
+        let more = ["--set", &domain_is, "--set", "vehicle.ros2.network='127.0.0.1'"];
+        let args = ["lane_change", "--adapter", "ros2-vehicle", "--vehicle", "ackermann"];
+        let args = [&args[..], &more].concat();
+        // Nobody there: it waits, and says for what.
+        let drive = sandbox.start("drive", "waits", &args);
+        std::thread::sleep(Duration::from_secs(6));
+        drive.interrupt();
+        let told = String::from_utf8_lossy(&drive.finish().stderr).into_owned();
+        assert!(told.contains("ros2-vehicle: no odometry on /odom; publishers seen: 0"), "{told}");
+        assert_eq!(told.matches("the drive waits for odometry").count(), 1, "{told}");
+        // Somebody drives the car: one line, and no second try.
+        let driver = Peer::start(&sandbox, &python, domain, &["--driver"]);
+        driver.wait_until_it_lives();
+        let output = sandbox.run(&[&["drive"], &args[..], &["--out", "refused"]].concat());
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(64), "{told}");
+        assert!(
+            told.contains("ros2-vehicle: ") && told.contains("publishes on /drive already"),
+            "{told}"
+        );
+        assert!(!told.contains("restarted"), "{told}");
+        drop(driver);
+        sandbox.assert_clean();
+    }
+
+    #[test]
     fn carla_s_topics_messages_frames_and_collisions_are_understood() {
         let Some(python) = python() else { return };
         let (sandbox, domain) = (Sandbox::new(), own_domain());

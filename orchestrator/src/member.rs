@@ -1,5 +1,6 @@
 //! One process of the pipeline over its starts and deaths: state, signs of life, what is wrong with it.
 
+use std::collections::HashSet;
 use std::path::PathBuf;
 
 use config::launch::{ProcessEntry, Role};
@@ -21,6 +22,8 @@ use crate::result::ProcessFacts;
 const READY_WITHIN_NS: u64 = 5_000_000_000;
 /// A ready process that shows no sign of life for this long is taken for frozen: five beats.
 const BEATS_WITHIN_NS: u64 = 500_000_000;
+/// Exit code of a process that ends for a mistake of the user's.
+const USERS_MISTAKE: i32 = 64;
 
 /// A process of the pipeline, alive or not.
 pub(crate) struct Member {
@@ -33,6 +36,8 @@ pub(crate) struct Member {
     pub(crate) pid: u32,
     /// Batch and tick that it reported last.
     pub(crate) seen: (u64, u64),
+    /// What it has warned of, without the numbers in it.
+    warned: HashSet<String>,
     /// Samples that its incarnations before this one did not take, and those of this one.
     refused_before: Refused,
     pub(crate) refused: Refused,
@@ -96,6 +101,7 @@ impl Member {
             incarnation: 0,
             pid: 0,
             seen: (0, 0),
+            warned: HashSet::new(),
             refused_before: Refused::default(),
             refused: Refused::default(),
         }
@@ -134,6 +140,7 @@ impl Member {
         self.incarnation += 1;
         self.refused_before = self.all_refused();
         self.refused = Refused::default();
+        self.warned.clear();
         let place = self.place_in_ring();
         let attachment = Attachment {
             incarnation: self.incarnation,
@@ -182,6 +189,30 @@ impl Member {
             }
             _ => None,
         }
+    }
+
+    /// The user's mistake for which the process ended at its first start, in its own last words: another start would end
+    /// in the same.
+    pub(crate) fn mistake(&mut self) -> Option<Failure> {
+        if self.incarnation > 1 || self.state.process()?.try_wait()?.code() != Some(USERS_MISTAKE) {
+            return None;
+        }
+        let said = last_lines(&self.log, 1).pop().unwrap_or_default();
+        let said = said.strip_prefix("pathtune: ").unwrap_or(&said);
+        Some(Failure::User(format!("{}: {said}", self.name)))
+    }
+
+    /// What this incarnation warns of in its log, each once, however the numbers in it change.
+    pub(crate) fn new_warnings(&mut self) -> Vec<String> {
+        let lines = last_lines(&self.log, 20);
+        // Behind the time, the level and who it comes from.
+        let warnings = lines.iter().filter_map(|line| {
+            let (_, rest) = line.split_once(" WARN ")?;
+            Some(rest.split_once(": ").map_or(rest, |(_, text)| text).to_owned())
+        });
+        let is_new =
+            |text: &String| self.warned.insert(text.replace(|c: char| c.is_ascii_digit(), ""));
+        warnings.filter(is_new).collect()
     }
 
     pub(crate) fn given_up(&self, why: &str) -> Failure {

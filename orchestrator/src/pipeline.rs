@@ -43,6 +43,8 @@ const STALLS_IN_A_ROW: u32 = 100;
 const STOPS_WITHIN: Duration = Duration::from_secs(5);
 /// Longest sleep of the orchestrator: deaths and messages wake it, deadlines do not.
 const NAP_NS: i64 = 20_000_000;
+/// Between two looks at what a vehicle in real time warns of.
+const WARN_EVERY_NS: u64 = 1_000_000_000;
 /// Between two looks at the children while messages flow.
 const REAP_EVERY_NS: u64 = 1_000_000;
 
@@ -128,6 +130,7 @@ pub(crate) struct Pipeline<'a> {
     driving_ns: u64,
     driving_ticks: u64,
     reaped_ns: u64,
+    warned_ns: u64,
     started_ns: u64,
     placement: Placement,
 }
@@ -208,6 +211,7 @@ impl<'a> Pipeline<'a> {
             driving_ns: 0,
             driving_ticks: 0,
             reaped_ns: 0,
+            warned_ns: 0,
             started_ns: now_ns(),
             placement,
         })
@@ -415,6 +419,10 @@ impl<'a> Pipeline<'a> {
         if self.sequencer.is_driving() && self.seen.0 == self.sequencer.batch() {
             self.progress.show_tick(self.seen.1, self.sequencer.ticks());
         }
+        if self.realtime && now.saturating_sub(self.warned_ns) >= WARN_EVERY_NS {
+            self.warned_ns = now;
+            self.tell_warnings();
+        }
         let patient = self.members.iter().any(|member| !member.entry.is_deterministic());
         let waits_for_start = patient && self.seen_ns <= self.issued_ns;
         if self.realtime
@@ -442,6 +450,15 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
+    /// Passes on what the vehicle warns of: in real time it may wait for something that only the user can bring.
+    fn tell_warnings(&mut self) {
+        for member in self.members.iter_mut().filter(|it| it.entry.role == Role::Vehicle) {
+            for warning in member.new_warnings() {
+                self.progress.notice(&format!("{}: {warning}", member.name));
+            }
+        }
+    }
+
     /// Starts who is due, in order; replaces who died or froze.
     fn look_after_members(&mut self) -> Result<(), Failure> {
         let now = now_ns();
@@ -459,6 +476,9 @@ impl<'a> Pipeline<'a> {
         }
         for index in 0..self.members.len() {
             if let Some(why) = self.members[index].trouble(now) {
+                if let Some(mistake) = self.members[index].mistake() {
+                    return Err(mistake);
+                }
                 self.replace(index, &why)?;
             }
         }

@@ -427,12 +427,16 @@ fn pose(wire: WirePose) -> Pose {
 
 impl Service for Controller {
     fn poll(&mut self) -> Result<bool> {
-        if let Some(request) = self.requests.receive_newest()? {
+        // In lockstep a request comes when nothing else does, and odometry that overtakes it is held.
+        let mut newest = if self.real_time { None } else { self.odometry.receive()? };
+        if newest.is_none()
+            && let Some(request) = self.requests.receive_newest()?
+        {
             self.start_batch(request.header(), request.items());
             return Ok(true);
         }
-        let mut newest = self.odometry.receive()?;
         if self.real_time {
+            newest = self.odometry.receive()?;
             // What came before the newest is too old to be answered.
             while let Some(newer) = self.odometry.receive()? {
                 self.counters.late += 1;

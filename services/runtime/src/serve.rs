@@ -9,7 +9,7 @@ use config::RunConfig;
 use ipc_types::{BatchHeader, Status, WakeRole};
 
 use crate::chaos::{Saboteur, Spread};
-use crate::clock::now_ns;
+use crate::clock::{coarse_ns, now_ns};
 use crate::periods::Measured;
 use crate::waiting::{Wait, Waiting, lock_memory};
 use crate::{Attachment, Bus};
@@ -119,7 +119,7 @@ pub fn serve(
                 measured.note((batch, tick), now_ns());
             }
             // A step may take long, as a slow vehicle's does: then every one of them is looked behind.
-            look |= beat.is_due(now_ns());
+            look |= beat.is_due(coarse_ns());
             if let Some(saboteur) = &mut saboteur {
                 saboteur.strike(service.status());
             }
@@ -203,7 +203,8 @@ impl Heartbeat {
     }
 
     fn is_due(&self, now_ns: u64) -> bool {
-        now_ns - self.last_ns >= BEAT_NS
+        // The coarse clock may lie behind the last beat's.
+        now_ns.saturating_sub(self.last_ns) >= BEAT_NS
     }
 
     fn send_if_due(&mut self, now_ns: u64, service: &dyn Service) -> Result<()> {

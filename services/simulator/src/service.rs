@@ -217,6 +217,14 @@ fn header_matches(a: TickHeader, b: TickHeader) -> bool {
 
 impl Service for Simulator {
     fn poll(&mut self) -> Result<bool> {
+        // In lockstep a request comes when no command does.
+        if self.waiting.is_some()
+            && self.held_back.is_none()
+            && let Some(command) = self.commands.receive()?
+        {
+            self.obey(command.header(), command.items())?;
+            return Ok(true);
+        }
         if let Some(request) = self.requests.receive_newest()? {
             self.start_batch(request.header(), request.items())?;
             return Ok(true);

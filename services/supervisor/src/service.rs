@@ -367,7 +367,11 @@ fn to_command(passed: Passed, slot: &Slot) -> Command {
 
 impl Service for Supervisor {
     fn poll(&mut self) -> Result<bool> {
-        if let Some(request) = self.requests.receive_newest()? {
+        // In lockstep a request comes when nothing else does, and a raw command that overtakes it is held.
+        let mut raw = if self.clocked.is_some() { None } else { self.raw_commands.receive()? };
+        if raw.is_none()
+            && let Some(request) = self.requests.receive_newest()?
+        {
             // The last raw command of a batch is sent before its report, and so before the next request: whoever
             // records is owed its command.
             while let Some(raw) = self.raw_commands.receive()? {
@@ -380,11 +384,14 @@ impl Service for Supervisor {
             self.start_batch(request.header(), request.items());
             return Ok(true);
         }
-        // In lockstep nothing stops for good.
-        if self.clocked.is_some() && self.hear_rearms()? {
-            return Ok(true);
+        if self.clocked.is_some() {
+            // In lockstep nothing stops for good.
+            if self.hear_rearms()? {
+                return Ok(true);
+            }
+            raw = self.raw_commands.receive()?;
         }
-        let raw = match (self.raw_commands.receive()?, self.early.take()) {
+        let raw = match (raw, self.early.take()) {
             (Some(new), held) => {
                 // What was held belongs to nothing that anybody asked for.
                 self.counters.dropped += u64::from(held.is_some());
