@@ -25,7 +25,7 @@ impl Placement {
         );
         let mut cores = Vec::new();
         if may_spin {
-            cores.extend((0..=RING).map_while(|_| CoreClaim::unshared()));
+            cores.extend((0..2 * RING).map_while(|_| CoreClaim::unshared()));
         }
         let wait = wanted.unwrap_or_else(|| Wait::choose(cores.len(), fleet, realtime));
         if wait == Wait::Spin && cores.len() >= RING {

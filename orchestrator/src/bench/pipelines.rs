@@ -42,7 +42,8 @@ impl Sweep {
             .arg0("pathtune")
             .arg("grid")
             .args(grid_of(fleet))
-            .args(["--fleet", &fleet.to_string(), "--json", "--out"])
+            // As the rings do, whatever the machine would allow.
+            .args(["--wait", "yield", "--fleet", &fleet.to_string(), "--json", "--out"])
             .arg(folder.path().join("run"))
             .args(more)
             .env(FILE_VARIABLE, folder.path().join(TICK_TIMES))

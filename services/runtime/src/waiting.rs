@@ -50,10 +50,10 @@ impl Wait {
     /// The way for a pipeline with this many cores that no other pipeline has claimed.
     ///
     /// One core is enough where processes only ever take turns, and leaves the others to other pipelines. A
-    /// core for each pays only where the hand-over is the most of a tick, with a fleet of one; one more is left to
-    /// orchestrator and trainer. By the clock every wait is long, and ends in a sleep anyway.
+    /// core for each pays only where the hand-over is the most of a tick, with a fleet of one, and only where as many
+    /// are left to everybody else. By the clock every wait is long, and ends in a sleep anyway.
     pub fn choose(cores: usize, fleet: usize, realtime: bool) -> Self {
-        let has_cores = cores > RING;
+        let has_cores = cores >= 2 * RING;
         if has_cores && fleet == 1 && !realtime { Wait::Spin } else { Wait::Yield }
     }
 
@@ -172,11 +172,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn spins_only_with_a_core_for_each_and_one_to_spare() {
+    fn spins_only_with_a_core_for_each_and_as_many_to_spare() {
         for cores in 0..16 {
             for (fleet, realtime) in [(1, false), (16, false), (1, true)] {
                 let spins = Wait::choose(cores, fleet, realtime) == Wait::Spin;
-                assert_eq!(spins, cores >= 4 && fleet == 1 && !realtime);
+                assert_eq!(spins, cores >= 6 && fleet == 1 && !realtime);
             }
         }
     }
