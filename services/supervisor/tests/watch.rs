@@ -141,6 +141,44 @@ fn a_pose_that_moves_more_than_the_speed_has_jumped() {
 }
 
 #[test]
+fn a_jump_is_measured_from_where_and_when_the_last_one_was_and_its_limit_is_none_yet() {
+    let sets = ["vehicle.safety.jump_limit_m=0.5", "vehicle.safety.jump_limit_rad=0.25"];
+    let at = |x_m, y_m, yaw_rad| Movement { pose: Pose { x_m, y_m, yaw_rad }, ..at(0.0) };
+    let fresh = || {
+        let mut it = Plausibility::new(&config(&sets));
+        assert_eq!(it.check(50, at(8.0, -4.0, 0.0)), 0);
+        it
+    };
+    assert_eq!(fresh().check(51, at(8.5, -4.0, 0.25)), 0);
+    assert_eq!(fresh().check(51, at(8.0, -4.5, -0.25)), 0);
+    assert_eq!(fresh().check(51, at(8.0, -4.0, 0.26)), Safety::ODOMETRY_JUMP);
+    // One tick at 1 m/s, not a hundred and one.
+    let fast = Movement { speed_mps: 1.0, ..at(8.6, -4.0, 0.0) };
+    assert_eq!(fresh().check(51, fast), Safety::ODOMETRY_JUMP);
+}
+
+#[test]
+fn a_fault_that_is_seen_twice_is_still_one() {
+    let mut watch = Watch::new(&config(&[]));
+    watch.see(0, at(0.0));
+    watch.command(TICK_S, Safety::COMMAND_STALE, None);
+    let safety = watch.safety();
+    assert_eq!((safety.state, safety.reasons), (Safety::DEGRADED, Safety::COMMAND_STALE));
+    watch.command(TICK_S, 0, Some(WANTED));
+    assert_eq!(watch.see(1, at(f64::NAN)), Safety::ODOMETRY_INVALID);
+    watch.command(TICK_S, Safety::ODOMETRY_INVALID, Some(WANTED));
+    assert_eq!(watch.safety().reasons, Safety::ODOMETRY_INVALID);
+    watch.stop(Safety::RESTARTED);
+    watch.see(2, at(0.0));
+    for _ in 0..1000 {
+        watch.command(TICK_S, 0, Some(WANTED));
+    }
+    assert_eq!(watch.state(), State::Stopped);
+    watch.see(3, at(f64::NAN));
+    assert!(!watch.rearm(Safety::ODOMETRY_INVALID));
+}
+
+#[test]
 fn a_yaw_that_turns_more_than_its_rate_has_jumped_and_one_that_wraps_has_not() {
     let yaw = |yaw_rad: f64, yaw_rate_radps: f64| Movement {
         pose: Pose { yaw_rad, ..Pose::default() },
