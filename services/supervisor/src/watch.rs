@@ -65,7 +65,8 @@ impl Watch {
             (Some(_), None) => Safety::COMMAND_INVALID,
             (None, None) => Safety::COMMAND_STALE,
         };
-        let faults = faults | missing | self.odometry_faults;
+        let mut faults = faults | missing;
+        faults |= self.odometry_faults;
         let state = self.guard.update(dt_s, faults, self.gate.speed_mps(), self.speed_mps);
         let mut passed = match (state, usable) {
             (State::Normal, Some(usable)) => self.gate.pass(dt_s, self.allowed_mps, usable),
