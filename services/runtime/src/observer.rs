@@ -82,15 +82,18 @@ impl Observer {
     }
 }
 
-/// Name of the file in the run's private folder that tells the core on which its ring runs.
+/// Name of the file in the run's private folder that tells the cores on which its ring runs, with spaces between them.
 pub const CORE_FILE: &str = "core";
 
-/// Leaves the ring's core to the ring, where there are others; a refusal costs the ring some speed and nothing else.
+/// Leaves the ring's cores to the ring, where there are others; a refusal costs the ring some speed and nothing else.
 fn step_aside(names: &RunNames) {
-    let core = fs::read_to_string(names.root.join(CORE_FILE)).ok().and_then(|it| it.parse().ok());
-    let Some(core) = core.filter(|core| *core < CpuSet::MAX_CPU) else { return };
+    let Ok(text) = fs::read_to_string(names.root.join(CORE_FILE)) else { return };
     let Ok(mut cores) = sched_getaffinity(None) else { return };
-    cores.unset(core);
+    for core in text.split_whitespace().filter_map(|core| core.parse().ok()) {
+        if core < CpuSet::MAX_CPU {
+            cores.unset(core);
+        }
+    }
     if cores.count() > 0 {
         let _ = sched_setaffinity(None, &cores);
     }
