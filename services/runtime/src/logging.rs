@@ -1,24 +1,38 @@
 //! Logs: one line an event, to standard error, which the orchestrator turns into the process's log file.
 
-use tracing_subscriber::EnvFilter;
+use tracing::level_filters::LevelFilter;
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+
+/// The variable that chooses what is told.
+const LOG_VAR: &str = "PATHTUNE_LOG";
 
 /// Starts logging to standard error.
 pub fn init() {
     init_to(std::io::stderr);
 }
 
-/// Starts logging. `PATHTUNE_LOG` chooses what is told (as `tracing`'s filters do); `info` by default.
+/// Starts logging. `PATHTUNE_LOG` chooses what is told: a level, and levels of single targets, such as
+/// `warn,controller=debug`; `info` by default.
 pub fn init_to<W>(writer: W)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
-    let filter = EnvFilter::try_from_env("PATHTUNE_LOG")
-        .unwrap_or_else(|_| EnvFilter::new("info,iceoryx2=warn"));
+    let usual =
+        Targets::new().with_default(LevelFilter::INFO).with_target("iceoryx2", LevelFilter::WARN);
+    let asked = std::env::var(LOG_VAR).ok();
+    let (filter, refused) = match asked.as_deref().map(str::parse::<Targets>) {
+        None => (usual, None),
+        Some(Ok(filter)) => (filter, None),
+        Some(Err(why)) => (usual, Some(why)),
+    };
+    let lines = tracing_subscriber::fmt::layer().with_writer(writer).with_ansi(false);
     // Starting it twice is a test's doing, and harmless.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(writer)
-        .with_ansi(false)
-        .try_init();
+    let _ = tracing_subscriber::registry().with(lines.with_filter(filter)).try_init();
+    if let Some(why) = refused {
+        tracing::warn!("{LOG_VAR}={:?} is not understood: {why}", asked.unwrap_or_default());
+    }
 }
