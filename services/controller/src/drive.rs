@@ -46,7 +46,6 @@ pub struct DriveController {
     reference: Reference,
     law: ControlLaw,
     metrics: MetricsRecorder,
-    end: Pose,
     goal_radius_m: f64,
     ticks: u64,
     /// Ticks that the reference's clock had run before it last started from rest.
@@ -58,10 +57,8 @@ pub struct DriveController {
 impl DriveController {
     /// A drive with these gains, at its first tick.
     pub fn new(config: &RunConfig) -> Self {
-        let reference = Reference::new(config);
         Self {
-            end: reference.path().end(),
-            reference,
+            reference: Reference::new(config),
             law: ControlLaw::new(config),
             metrics: MetricsRecorder::default(),
             goal_radius_m: config.drive.goal_radius_m,
@@ -110,6 +107,8 @@ impl DriveController {
 
     /// One tick, named by the ticks that the reference's clock has run. Call it for each from 0 on, until the drive
     /// has ended.
+    // Inlined, its results stay in registers: written to memory in halves and read back whole, they stall.
+    #[inline]
     pub fn tick(&mut self, tick: u64, seen: Seen) -> Decision {
         let reference = self.reference.advance(tick, seen.measured);
         let error = tracking_error(reference, seen.measured);
@@ -136,7 +135,8 @@ impl DriveController {
         }
         // Only behind the reference: a closed path must not end where it begins.
         if self.reference.at_end() {
-            let (dx, dy) = (seen.measured.x_m - self.end.x_m, seen.measured.y_m - self.end.y_m);
+            let end = self.reference.end();
+            let (dx, dy) = (seen.measured.x_m - end.x_m, seen.measured.y_m - end.y_m);
             if libm::hypot(dx, dy) <= self.goal_radius_m {
                 return Some(EndReason::Goal);
             }

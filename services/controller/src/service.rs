@@ -36,6 +36,8 @@ struct Controller {
     run: u64,
     /// A drive at its first tick, to be copied into new slots.
     fresh: DriveController,
+    /// What was asked for, one a slot; apart, because no tick reads it.
+    requested: Vec<DriveRequest>,
     slots: Vec<Slot>,
     /// Odometry that something else must come before: the request of its batch, or a zone's gains. They
     /// travel on different topics.
@@ -58,12 +60,11 @@ const JOINS_WITHIN: u32 = 20;
 
 struct Slot {
     drive: DriveController,
-    request: DriveRequest,
     /// The last odometry that could be believed.
     seen: Seen,
     has_truth: bool,
     answer: Answer,
-    report: Option<DriveReport>,
+    ended: Option<Box<Ended>>,
     /// This process joined the drive on its way.
     joined: bool,
     /// The zone whose gains the next tick must have.
@@ -107,6 +108,7 @@ impl Controller {
             reports: bus.outlet()?,
             run,
             fresh: DriveController::new(&config),
+            requested: Vec::new(),
             slots: Vec::new(),
             held: None,
             scheduled: false,
@@ -124,8 +126,9 @@ impl Controller {
             self.counters.dropped += 1;
             return;
         }
+        self.requested = requests.to_vec();
         self.slots.clear();
-        self.slots.extend(requests.iter().map(|request| Slot::new(&self.fresh, *request)));
+        self.slots.extend(requests.iter().map(|request| Slot::new(&self.fresh, request)));
         self.real_time = requests.iter().any(|it| has(it.flags, DriveRequest::REAL_TIME));
         if self.real_time && header.sent_ns < self.started_ns {
             for slot in &mut self.slots {
@@ -189,7 +192,7 @@ impl Controller {
             self.counters.batch = batch.batch;
             self.counters.tick = *tick;
         }
-        if slots.iter().all(|slot| slot.report.is_some()) {
+        if slots.iter().all(|slot| slot.ended.is_some()) {
             self.report()?;
         }
         Ok(())
@@ -207,8 +210,9 @@ impl Controller {
         };
         while let Some(zones) = self.zones.receive()? {
             for zone in zones.items().iter().filter(|_| is_of_batch(zones.header())) {
-                if let Some(slot) = self.slots.get_mut(zone.slot as usize)
-                    && has(slot.request.flags, DriveRequest::SCHEDULED)
+                let index = zone.slot as usize;
+                if let Some(slot) = self.slots.get_mut(index)
+                    && has(self.requested[index].flags, DriveRequest::SCHEDULED)
                 {
                     slot.awaited = Some(zone.zone);
                 }
@@ -263,25 +267,24 @@ impl Controller {
     fn report(&mut self) -> Result<()> {
         let Some((header, _)) = self.driving.take() else { return Ok(()) };
         let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..header };
-        let slots = &self.slots;
-        self.reports.send(header, slots.len(), |index| slots[index].report.unwrap_or_default())?;
+        let Self { requested, slots, .. } = self;
+        self.reports.send(header, slots.len(), |index| slots[index].report(&requested[index]))?;
         Ok(())
     }
 }
 
 impl Slot {
-    fn new(fresh: &DriveController, request: DriveRequest) -> Self {
+    fn new(fresh: &DriveController, request: &DriveRequest) -> Self {
         let mut drive = fresh.clone();
         let ipc_types::Gains { kv, kl, ks, ki } = request.gains;
         drive.reset(Gains { kv, kl, ks, ki }, request.ticks);
         let start = pose(request.start);
         Self {
             drive,
-            request,
             seen: Seen { measured: start, truth: None, collision: false },
             has_truth: false,
             answer: Answer::default(),
-            report: None,
+            ended: None,
             joined: false,
             awaited: None,
             clock: Clock {
@@ -339,11 +342,11 @@ impl Slot {
 
     /// One tick; whether the odometry could be believed. If not, the last one stands in for it.
     fn tick(&mut self, odometry: &Odometry) -> bool {
-        if self.report.is_some() {
+        if self.ended.is_some() {
             return true;
         }
         let has_truth = has(odometry.status, Odometry::HAS_TRUTH);
-        let seen = Seen {
+        let mut seen = Seen {
             measured: pose(odometry.measured),
             truth: has_truth.then(|| pose(odometry.truth)),
             collision: has(odometry.status, Odometry::COLLISION),
@@ -353,18 +356,22 @@ impl Slot {
         if believed {
             self.seen = seen;
             self.has_truth = has_truth;
+        } else {
+            seen = self.seen;
         }
         let Decision { command, error, reference_along_m, ended } =
-            self.drive.tick(self.clock.phase, self.seen);
+            self.drive.tick(self.clock.phase, seen);
         self.answer = Answer { command, error, reference_along_m };
-        self.report = ended.map(|ended| self.to_report(ended));
+        self.ended = ended.map(Box::new);
         believed
     }
 
-    fn to_report(&self, Ended { metrics, trace }: Ended) -> DriveReport {
+    fn report(&self, request: &DriveRequest) -> DriveReport {
+        let Some(ended) = &self.ended else { return DriveReport::default() };
+        let Ended { metrics, trace } = **ended;
         DriveReport {
-            gains: self.request.gains,
-            seed: self.request.seed,
+            gains: request.gains,
+            seed: request.seed,
             ticks: metrics.ticks,
             steering_limited_ticks: metrics.steering_limited_ticks,
             trace,
@@ -374,8 +381,8 @@ impl Slot {
             along_mse_m2: metrics.along_mse_m2,
             cross_mse_m2: metrics.cross_mse_m2,
             max_abs_cross_m: metrics.max_abs_cross_m,
-            learner: self.request.learner,
-            step: self.request.step,
+            learner: request.learner,
+            step: request.step,
             reason: match metrics.reason {
                 EndReason::Time => DriveReport::TIME,
                 EndReason::Goal => DriveReport::GOAL,
@@ -388,7 +395,7 @@ impl Slot {
 
     fn raw_command(&self) -> RawCommand {
         let command = self.answer.command;
-        let flags = if self.report.is_some() { Command::ENDED } else { 0 }
+        let flags = if self.ended.is_some() { Command::ENDED } else { 0 }
             | if self.clock.frozen { RawCommand::FROZEN } else { 0 };
         RawCommand {
             speed_mps: command.speed_mps,
@@ -443,6 +450,7 @@ impl Service for Controller {
                 newest = Some(newer);
             }
         }
+        let is_new = newest.is_some();
         let odometry = match (newest, self.held.take()) {
             (Some(new), held) => {
                 // What was held belongs to nothing that anybody asked for.
@@ -456,7 +464,8 @@ impl Service for Controller {
         let is_early = header.run == self.run && (header.batch, header.attempt) > self.last;
         if is_early || self.awaits_gains()? {
             self.held = Some(odometry);
-            return Ok(false);
+            // What it waits for may be here already, and nobody wakes us for it again.
+            return Ok(is_new);
         }
         self.answer(odometry.header(), odometry.items())?;
         Ok(true)

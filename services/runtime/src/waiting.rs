@@ -102,6 +102,8 @@ pub struct Waiting {
     wait: Wait,
     looks_in_vain: u32,
     since_ns: u64,
+    /// It has looked long enough: another look in vain, and it may sleep. So until the next message.
+    is_time: bool,
 }
 
 impl Waiting {
@@ -113,6 +115,7 @@ impl Waiting {
     /// There was a message: lets the next process have it.
     pub fn progress(&mut self) {
         self.looks_in_vain = 0;
+        self.is_time = false;
         self.wait.pause();
     }
 
@@ -123,17 +126,18 @@ impl Waiting {
 
     /// Notes a look in vain; whether the reader may sleep after it, else it has paused and looks again.
     pub fn may_sleep(&mut self) -> bool {
+        // A look that began before it was time proves nothing: a message may have come behind it.
+        if self.is_time {
+            return true;
+        }
         self.looks_in_vain += 1;
         if self.looks_in_vain == 1 {
             self.since_ns = now_ns();
         }
-        // A sleeper's looks go on counting: once it may sleep, it may until the next message.
-        let may = self.looks_in_vain >= self.wait.looks_before_sleep()
+        self.is_time = self.looks_in_vain >= self.wait.looks_before_sleep()
             && now_ns() - self.since_ns >= self.wait.sleeps_after_ns();
-        if !may {
-            self.wait.pause();
-        }
-        may
+        self.wait.pause();
+        false
     }
 
     /// Sleeps until somebody notifies, or `due_ns` by [`now_ns`], or for 20 ms.

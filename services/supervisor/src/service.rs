@@ -391,6 +391,7 @@ impl Service for Supervisor {
             }
             raw = self.raw_commands.receive()?;
         }
+        let is_new = raw.is_some();
         let raw = match (raw, self.early.take()) {
             (Some(new), held) => {
                 // What was held belongs to nothing that anybody asked for.
@@ -410,7 +411,8 @@ impl Service for Supervisor {
         let (header, batch) = (raw.header(), self.batch);
         if header.run == self.run && (header.batch, header.attempt) > (batch.batch, batch.attempt) {
             self.early = Some(raw);
-            return Ok(false);
+            // The request that it waits for may be here already, and nobody wakes us for it again.
+            return Ok(is_new);
         }
         self.pass(raw.header(), raw.items())?;
         Ok(true)

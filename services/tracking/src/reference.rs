@@ -1,5 +1,7 @@
 //! How the reference pose advances along the path.
 
+use std::sync::Arc;
+
 use config::{Advance, RunConfig};
 
 use crate::{Path, Pose};
@@ -7,7 +9,19 @@ use crate::{Path, Pose};
 /// The pose that the vehicle should have, tick by tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reference {
+    /// Shared by all copies: what is each vehicle's own is to fit into the nearest cache for a whole fleet.
+    plan: Arc<Plan>,
+    along_m: f64,
+    /// Where its clock last started from rest, and the path's own time there.
+    origin_m: f64,
+    origin_s: f64,
+}
+
+/// What of a reference never changes.
+#[derive(Debug, Clone, PartialEq)]
+struct Plan {
     path: Path,
+    end: Pose,
     advance: Advance,
     lookahead_m: f64,
     speed_mps: f64,
@@ -15,10 +29,6 @@ pub struct Reference {
     /// The times of a path with speeds of its own.
     timetable: Option<Timetable>,
     tick_s: f64,
-    along_m: f64,
-    /// Where its clock last started from rest, and the path's own time there.
-    origin_m: f64,
-    origin_s: f64,
 }
 
 /// When the reference passes each point of a path, at speeds that change evenly in time between them.
@@ -83,31 +93,30 @@ impl Reference {
     pub fn new(config: &RunConfig) -> Self {
         let path = Path::new(&config.path);
         let speeds_mps = &config.path.speeds_mps;
-        Self {
+        let plan = Plan {
             timetable: (!speeds_mps.is_empty()).then(|| Timetable::new(&path, speeds_mps)),
+            end: path.end(),
             path,
             advance: config.reference.advance,
             lookahead_m: config.reference.lookahead_m,
             speed_mps: config.reference.speed_mps,
             ramp_s: config.reference.ramp_s,
             tick_s: config.drive.tick_s,
-            along_m: 0.0,
-            origin_m: 0.0,
-            origin_s: 0.0,
-        }
+        };
+        Self { plan: Arc::new(plan), along_m: 0.0, origin_m: 0.0, origin_s: 0.0 }
     }
 
     /// Moves to `tick` of its clock, with the pose that was measured there, and returns the reference pose.
     pub fn advance(&mut self, tick: u64, measured: Pose) -> Pose {
-        match self.advance {
+        match self.plan.advance {
             Advance::Time => {
-                self.along_m = self.distance_after(tick as f64 * self.tick_s);
-                self.path.at(self.along_m)
+                self.along_m = self.distance_after(tick as f64 * self.plan.tick_s);
+                self.plan.path.at(self.along_m)
             }
             Advance::Projection => {
                 let (x_m, y_m) = (measured.x_m, measured.y_m);
-                self.along_m = self.path.project(x_m, y_m, self.along_m, Self::WINDOW_M).along_m;
-                self.path.at(self.along_m + self.lookahead_m)
+                self.along_m = self.plan.path.project(x_m, y_m, self.along_m, Self::WINDOW_M).along_m;
+                self.plan.path.at(self.along_m + self.plan.lookahead_m)
             }
         }
     }
@@ -120,7 +129,7 @@ impl Reference {
     /// At a place along the path, at rest, with the clock at 0.
     pub fn restart_at(&mut self, origin_m: f64) {
         self.origin_m = origin_m;
-        self.origin_s = self.timetable.as_ref().map_or(0.0, |it| it.time_s(origin_m));
+        self.origin_s = self.plan.timetable.as_ref().map_or(0.0, |it| it.time_s(origin_m));
         self.along_m = origin_m;
     }
 
@@ -131,7 +140,7 @@ impl Reference {
 
     /// The place of the path nearest to a pose: near the reference, if the path lies near the pose there, else anywhere.
     pub fn projection_m(&self, pose: Pose) -> f64 {
-        let within = |window_m| self.path.project(pose.x_m, pose.y_m, self.along_m, window_m);
+        let within = |window_m| self.plan.path.project(pose.x_m, pose.y_m, self.along_m, window_m);
         let near = within(Self::FAR_M);
         let apart_m = libm::hypot(pose.x_m - near.pose.x_m, pose.y_m - near.pose.y_m);
         if apart_m <= Self::WINDOW_M { near.along_m } else { within(f64::INFINITY).along_m }
@@ -139,36 +148,42 @@ impl Reference {
 
     /// Progress along the path.
     pub fn along_m(&self) -> f64 {
-        self.along_m.min(self.path.length_m())
+        self.along_m.min(self.plan.path.length_m())
     }
 
     /// The path.
     pub fn path(&self) -> &Path {
-        &self.path
+        &self.plan.path
+    }
+
+    /// Pose of the path's end.
+    pub fn end(&self) -> Pose {
+        self.plan.end
     }
 
     /// Whether the reference has reached the end of the path.
     pub fn at_end(&self) -> bool {
-        let ahead_m = if self.advance == Advance::Projection { self.lookahead_m } else { 0.0 };
-        self.along_m + ahead_m >= self.path.length_m()
+        let ahead_m = if self.plan.advance == Advance::Projection { self.plan.lookahead_m } else { 0.0 };
+        self.along_m + ahead_m >= self.plan.path.length_m()
     }
 
     /// Place along the path after a time: a linear ramp from rest, then the set speed, or the path's own.
     fn distance_after(&self, time_s: f64) -> f64 {
-        if let Some(timetable) = &self.timetable {
+        let Plan { timetable, speed_mps, ramp_s, .. } = &*self.plan;
+        if let Some(timetable) = timetable {
             // The ramp stretches time, as it does at a set speed: the path's speeds are reached where
             // they stand, and the one at the end of the ramp without a jump.
-            let at_speed_s = if time_s < self.ramp_s {
-                0.5 * time_s * time_s / self.ramp_s
+            let at_speed_s = if time_s < *ramp_s {
+                0.5 * time_s * time_s / ramp_s
             } else {
-                time_s - 0.5 * self.ramp_s
+                time_s - 0.5 * ramp_s
             };
             return timetable.along_m(self.origin_s + at_speed_s);
         }
-        let run_m = if time_s < self.ramp_s {
-            0.5 * self.speed_mps * time_s * time_s / self.ramp_s
+        let run_m = if time_s < *ramp_s {
+            0.5 * speed_mps * time_s * time_s / ramp_s
         } else {
-            self.speed_mps * (time_s - 0.5 * self.ramp_s)
+            speed_mps * (time_s - 0.5 * ramp_s)
         };
         self.origin_m + run_m
     }
@@ -267,7 +282,7 @@ mod tests {
     #[test]
     fn an_even_profile_is_a_set_speed() {
         let (mut profile, mut set) = (straight(1.0, |_| 1.5), straight(1.0, |_| 1.5));
-        set.timetable = None;
+        Arc::make_mut(&mut set.plan).timetable = None;
         for tick in 0..700 {
             let apart_m =
                 profile.advance(tick, Pose::default()).x_m - set.advance(tick, Pose::default()).x_m;
