@@ -195,10 +195,14 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
     }
 }
 
-/// Times plain calls over a grid, and prints nanoseconds a tick: mean, and over the drives median and 99th
-/// percentile. Like a ring, to standard error.
+/// Times plain calls over the grid that the benchmark's pipelines drive, and prints nanoseconds a tick: mean, and over
+/// the drives median and 99th percentile. Like a ring, to standard error.
 fn time_calls() -> anyhow::Result<()> {
-    let config = config::Layers::maneuver("lane_change")?.resolve()?;
+    let mut layers = config::Layers::maneuver(orchestrator::bench::MANEUVER)?;
+    for setting in orchestrator::bench::spread(512)? {
+        layers.set(&setting)?;
+    }
+    let config = layers.resolve()?;
     let mut rollout = rollout::Rollout::new(&config);
     let mut ticks_ns: Vec<f64> = config
         .grid

@@ -136,19 +136,19 @@ def serve(run, role, event, service):
     beat.header = BatchHeader(run=run.number)
     status = service.status
     status.role, status.state, status.incarnation = role, Status.READY, run.incarnation
-    in_vain, since_ns, polls = 0, 0, 0
+    in_vain, since_ns, is_time, polls = 0, 0, False, 0
     while not stop:
         polls += 1
         look = polls % 256 == 0
         if service.poll():
-            in_vain = 0
+            in_vain, is_time = 0, False
             os.sched_yield()
         else:
             in_vain += 1
             now = now_ns()
             if in_vain == 1:
                 since_ns = now
-            if in_vain >= YIELDS and now - since_ns >= SLEEPS_AFTER_NS:
+            if is_time:
                 due_ns = service.due_ns()
                 nap_ns = NAP_NS if due_ns is None else min(NAP_NS, due_ns - now)
                 # The socket beneath takes whole microseconds, and 0 of them for a time without end.
@@ -160,6 +160,8 @@ def serve(run, role, event, service):
                         pass  # a signal, most likely; whatever it was, the next look tells
                 look = True
             else:
+                # Only the next look counts: a message may have come behind this one.
+                is_time = in_vain >= YIELDS and now - since_ns >= SLEEPS_AFTER_NS
                 os.sched_yield()
         now = now_ns()
         if look:

@@ -5,7 +5,7 @@
 //!
 //! [`sequencer`] and [`restart`] decide, and are pure; [`process`] and `pipeline` act.
 
-mod bench;
+pub mod bench;
 pub mod cli;
 mod conformance;
 mod cores;

@@ -5,6 +5,7 @@ mod by_clock;
 mod pipelines;
 mod rings;
 
+use config::{Gains, Layers};
 use serde_json::{Value, json};
 
 use self::pipelines::{pipeline, pipelines, waiting};
@@ -13,6 +14,31 @@ use crate::Failure;
 use crate::cli::BenchArgs;
 use crate::tables::table_of;
 use crate::terminal::{say, tell};
+
+/// What all of them drive, plain calls as well: a tick costs more where the path is curved. Drives of half a minute, such
+/// that what lies between them hardly counts.
+pub const MANEUVER: &str = "roundabout";
+
+/// Settings of a grid of so many gain sets, a power of two from 16 on, spread over all of the manoeuvre's: what a tick costs hangs on
+/// the gains, too.
+///
+/// # Errors
+/// None: the presets are sound.
+pub fn spread(sets: usize) -> anyhow::Result<Vec<String>> {
+    let grid = Layers::maneuver(MANEUVER)?.resolve()?.grid;
+    // Each doubling goes to another axis.
+    let mut counts = [1; 4];
+    for doubling in 0..sets.ilog2() as usize {
+        counts[doubling % 4] *= 2;
+    }
+    let axes = Gains::NAMES.iter().zip(grid.axes()).zip(counts);
+    Ok(axes
+        .map(|((name, axis), count)| {
+            let step = (axis.max - axis.min) / (count - 1) as f64;
+            format!("grid.{name}.step={step:?}")
+        })
+        .collect())
+}
 
 /// Nanoseconds a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]

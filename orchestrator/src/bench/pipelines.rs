@@ -13,8 +13,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use super::Timing;
 use super::rings::Killed;
+use super::{MANEUVER, Timing, spread};
 use crate::housekeeping::RunState;
 
 /// A pipeline that makes nothing but ticks: the sets of a grid, one drive each.
@@ -26,12 +26,13 @@ struct Sweep {
 /// Name of the file with the times of a pipeline's ticks.
 const TICK_TIMES: &str = "tick_times";
 
-/// Enough drives for about a second, whatever the fleet.
-fn grid_of(fleet: usize) -> &'static [&'static str] {
+/// As many drives as take about a second, and no seat of the fleet is left empty.
+fn drives_of(fleet: usize) -> usize {
     match fleet {
-        0..=3 => &["lane_change", "--set", "grid.kl={ min = 1.0, max = 1.0, step = 5.0 }"],
-        4..=15 => &["lane_change"],
-        _ => &["roundabout"],
+        0..=3 => 32,
+        4..=15 => 128,
+        16..=63 => 512,
+        _ => 1024,
     }
 }
 
@@ -40,8 +41,8 @@ impl Sweep {
         let folder = tempfile::tempdir()?;
         let orchestrator = Command::new("/proc/self/exe")
             .arg0("pathtune")
-            .arg("grid")
-            .args(grid_of(fleet))
+            .args(["grid", MANEUVER])
+            .args(spread(drives_of(fleet))?.iter().flat_map(|it| ["--set", it]))
             // As the rings do, whatever the machine would allow.
             .args(["--wait", "yield", "--fleet", &fleet.to_string(), "--json", "--out"])
             .arg(folder.path().join("run"))

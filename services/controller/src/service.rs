@@ -170,13 +170,9 @@ impl Controller {
             counters.rejected += u64::from(!believed);
             slot.raw_command()
         };
-        self.raw_commands.send_stamped(odometry.len(), answer, || {
-            sent_ns = now_ns();
-            TickHeader {
-                controller_received_ns: received_ns,
-                controller_sent_ns: sent_ns,
-                ..header
-            }
+        self.raw_commands.write(odometry.len(), answer)?.send(|now_ns| {
+            sent_ns = now_ns;
+            TickHeader { controller_received_ns: received_ns, controller_sent_ns: now_ns, ..header }
         })?;
         let slots = &self.slots;
         let header = TickHeader {
@@ -473,5 +469,38 @@ impl Service for Controller {
 
     fn status(&self) -> Counters {
         self.counters
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use config::Layers;
+    use runtime::run::RunNames;
+
+    #[test]
+    fn odometry_that_overtakes_its_request_is_held_counts_as_news_and_is_answered() {
+        let names = RunNames::create().unwrap();
+        let bus = Bus::create(&names, 1).unwrap();
+        let config = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+        let ticks = config.ticks();
+        let mut controller = Controller::new(&bus, config, names.run, now_ns()).unwrap();
+        let (odometry, requests) = (bus.outlet::<Odometry>().unwrap(), bus.outlet().unwrap());
+        let answers = bus.observe::<RawCommand>().unwrap();
+
+        let tick = TickHeader { run: names.run, batch: 1, attempt: 1, ..TickHeader::default() };
+        odometry.send(tick, 1, |_| Odometry::default()).unwrap();
+        // News, although there is nothing to be done: the request may have come meanwhile, and its wake-up is over.
+        assert!(controller.poll().unwrap());
+        assert!(!controller.poll().unwrap());
+        let request =
+            BatchHeader { run: names.run, batch: 1, attempt: 1, ..BatchHeader::default() };
+        requests.send(request, 1, |_| DriveRequest { ticks, ..DriveRequest::default() }).unwrap();
+        assert!(controller.poll().unwrap() && answers.receive().unwrap().is_none());
+        assert!(controller.poll().unwrap());
+        assert_eq!(answers.receive().unwrap().unwrap().header().batch, 1);
+        assert!(!controller.poll().unwrap());
+        drop((controller, odometry, requests, answers, bus));
+        names.remove();
     }
 }

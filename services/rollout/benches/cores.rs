@@ -113,6 +113,47 @@ fn rollout_tick(bencher: Bencher, maneuver: &str) {
         .bench_local(move || rollout.drive(black_box(gains()), None));
 }
 
+/// One tick of a fleet as the pipeline makes it, stage by stage, without the pipeline: against `rollout_tick`, what it
+/// costs that a fleet does not fit into the nearest cache.
+#[divan::bench(args = [1, 16, 64])]
+fn fleet_tick(bencher: Bencher, fleet: usize) {
+    let config = config("roundabout", "tesla_model_3");
+    let mut cars = vec![SimulatedVehicle::new(&config); fleet];
+    let mut drives = vec![DriveController::new(&config); fleet];
+    let mut watches = vec![Watch::new(&config); fleet];
+    let (mut commands, mut tick) = (vec![(0.0, 0.0); fleet], config.ticks());
+    bencher.counter(ItemsCount::new(fleet)).bench_local(move || {
+        tick += 1;
+        if tick >= config.ticks() {
+            cars.iter_mut().for_each(|car| car.reset(config.path.start.into(), None));
+            drives.iter_mut().for_each(|drive| drive.reset(gains(), config.ticks()));
+            watches.fill(Watch::new(&config));
+            tick = 0;
+        }
+        let mut seen = Vec::with_capacity(fleet);
+        for (car, (speed_mps, steering_rad)) in cars.iter_mut().zip(&commands) {
+            car.step(*speed_mps, *steering_rad);
+            seen.push(car.observe());
+        }
+        let mut wanted = Vec::with_capacity(fleet);
+        for (drive, seen) in drives.iter_mut().zip(&seen) {
+            let truth = Some(seen.truth);
+            let command =
+                drive.tick(tick, Seen { measured: seen.measured, truth, collision: false }).command;
+            let (yaw_rate_radps, steering_rad) = (command.yaw_rate_radps, command.steering_rad);
+            wanted.push(Wanted { speed_mps: command.speed_mps, yaw_rate_radps, steering_rad });
+        }
+        for (index, watch) in watches.iter_mut().enumerate() {
+            let (pose, seen) = (seen[index].measured, seen[index]);
+            let movement =
+                Movement { pose, speed_mps: seen.speed_mps, yaw_rate_radps: seen.yaw_rate_radps };
+            watch.see(tick, movement);
+            let passed = watch.command(0.01, 0, Some(wanted[index]));
+            commands[index] = (passed.speed_mps, passed.steering_rad);
+        }
+    });
+}
+
 /// A step of Q-learning behind a drive.
 #[divan::bench]
 fn learner_step(bencher: Bencher) {

@@ -92,6 +92,7 @@ impl Attachment {
             (INCARNATION, self.incarnation.to_string()),
             (PARENT, self.parent.to_string()),
             (WAIT, self.wait.name().to_owned()),
+            (GLIBC_TUNABLES, without_rseq(std::env::var(GLIBC_TUNABLES).ok())),
         ];
         if let Some((script, seed)) = &self.chaos {
             env.push((chaos::SCRIPT, script.clone()));
@@ -138,4 +139,13 @@ impl Attachment {
             tracing::warn!(priority, %why, "not scheduled first in, first out");
         }
     }
+}
+/// What the C library is told when a process starts.
+const GLIBC_TUNABLES: &str = "GLIBC_TUNABLES";
+
+/// Settings of the C library under which it does not register restartable sequences: nobody here uses them, and the
+/// kernel would look after them at every hand-over of the core.
+fn without_rseq(settings: Option<String>) -> String {
+    let ours = "glibc.pthread.rseq=0";
+    settings.map_or(ours.to_owned(), |theirs| format!("{theirs}:{ours}"))
 }

@@ -17,6 +17,7 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
+use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use ipc_types::topics::{MAX_NODES, MAX_SUBSCRIBERS, OBSERVER_BUFFER};
@@ -322,29 +323,24 @@ impl<M: Message> Outlet<M> {
         len: usize,
         write: impl FnMut(usize) -> M,
     ) -> Result<(), BusError> {
-        self.send_stamped(len, write, || header)
+        self.write(len, write)?.send(|_| header)
     }
 
-    /// As [`Outlet::send`], with a header that is made when the elements are written: their making may be the work of
-    /// the tick, and a stamp of the sending is to lie behind it.
+    /// Writes one message of `len` elements in place, to be sent when that is done: the making of the elements may be
+    /// the work of the tick.
     ///
     /// # Errors
     /// If the transport refuses.
-    pub fn send_stamped(
+    pub fn write(
         &self,
         len: usize,
         write: impl FnMut(usize) -> M,
-        header: impl FnOnce() -> M::Header,
-    ) -> Result<(), BusError> {
-        let before_ns = now_ns();
-        self.publish(len, write, header)?;
-        if now_ns() - self.last_send_ns.replace(before_ns) >= self.sleeps_after_ns {
-            for notifier in &self.wakes {
-                // Nobody may be listening, which is no mistake.
-                let _ = notifier.notify();
-            }
-        }
-        Ok(())
+    ) -> Result<Written<'_, M>, BusError> {
+        let sample = self
+            .publisher
+            .loan_slice_uninit(len)
+            .map_err(refused(|| format!("loan {len} elements of {}", M::TOPIC.name)))?;
+        Ok(Written { outlet: self, sample: sample.write_from_fn(write) })
     }
 
     /// As [`Outlet::send`], without waking anybody.
@@ -357,25 +353,41 @@ impl<M: Message> Outlet<M> {
         len: usize,
         write: impl FnMut(usize) -> M,
     ) -> Result<(), BusError> {
-        self.publish(len, write, || header)
+        self.write(len, write)?.publish(header)
+    }
+}
+
+/// A message in shared memory that was written and not sent yet; dropped, it never was.
+pub struct Written<'a, M: Message> {
+    outlet: &'a Outlet<M>,
+    sample: SampleMut<ipc::Service, [M], M::Header>,
+}
+
+impl<M: Message> Written<'_, M> {
+    /// Sends it with the header that is made of the time now, and wakes its readers if they may sleep: see
+    /// [`Outlet::send`].
+    ///
+    /// # Errors
+    /// If the transport refuses.
+    pub fn send(self, header: impl FnOnce(u64) -> M::Header) -> Result<(), BusError> {
+        let outlet = self.outlet;
+        let before_ns = now_ns();
+        self.publish(header(before_ns))?;
+        if now_ns() - outlet.last_send_ns.replace(before_ns) >= outlet.sleeps_after_ns {
+            for notifier in &outlet.wakes {
+                // Nobody may be listening, which is no mistake.
+                let _ = notifier.notify();
+            }
+        }
+        Ok(())
     }
 
-    fn publish(
-        &self,
-        len: usize,
-        write: impl FnMut(usize) -> M,
-        header: impl FnOnce() -> M::Header,
-    ) -> Result<(), BusError> {
-        if self.disturbance.as_ref().is_some_and(Disturbance::swallows) {
+    fn publish(mut self, header: M::Header) -> Result<(), BusError> {
+        if self.outlet.disturbance.as_ref().is_some_and(Disturbance::swallows) {
             return Ok(());
         }
-        let sample = self
-            .publisher
-            .loan_slice_uninit(len)
-            .map_err(refused(|| format!("loan {len} elements of {}", M::TOPIC.name)))?;
-        let mut sample = sample.write_from_fn(write);
-        *sample.user_header_mut() = header();
-        sample.send().map_err(refused(|| format!("send on {}", M::TOPIC.name)))?;
+        *self.sample.user_header_mut() = header;
+        self.sample.send().map_err(refused(|| format!("send on {}", M::TOPIC.name)))?;
         Ok(())
     }
 }

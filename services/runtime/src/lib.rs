@@ -18,6 +18,6 @@ mod serve;
 pub mod waiting;
 
 pub use attachment::Attachment;
-pub use bus::{Alarm, Bus, BusError, Inlet, Outlet, Received};
+pub use bus::{Alarm, Bus, BusError, Inlet, Outlet, Received, Written};
 pub use serve::{Counters, Service, join, serve};
 pub use waiting::{Wait, Waiting};

@@ -194,12 +194,16 @@ mod tests {
     }
 
     #[test]
-    fn who_blocks_may_sleep_at_once_and_others_only_behind_many_looks() {
-        assert!(Waiting::new(Wait::Block).may_sleep());
+    fn who_blocks_may_sleep_behind_a_second_look_and_others_only_behind_many() {
+        let mut blocks = Waiting::new(Wait::Block);
+        assert!(!blocks.may_sleep() && blocks.may_sleep() && blocks.may_sleep());
         for wait in [Wait::Yield, Wait::Spin] {
             let mut waiting = Waiting::new(wait);
-            assert!((1..LOOKS).all(|_| !waiting.may_sleep()));
             let began_ns = now_ns();
+            assert!((0..LOOKS).all(|_| !waiting.may_sleep()));
+            std::thread::sleep(Duration::from_nanos(SLEEPS_AFTER_NS));
+            // Time enough has passed, but the look behind that is still to come.
+            assert!(!waiting.may_sleep());
             while !waiting.may_sleep() {
                 assert!(now_ns() - began_ns < 1_000_000_000);
             }

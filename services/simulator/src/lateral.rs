@@ -15,8 +15,8 @@ pub(crate) enum Lateral {
         /// Axle to axle.
         wheelbase_m: f64,
     },
-    /// Linear tyres.
-    Dynamic(DynamicSingleTrack),
+    /// Linear tyres. Apart: it is four times as large.
+    Dynamic(Box<DynamicSingleTrack>),
 }
 
 impl Lateral {
@@ -24,7 +24,7 @@ impl Lateral {
     pub(crate) fn new(vehicle: &Vehicle) -> Self {
         match vehicle.model {
             VehicleModel::Kinematic => Self::Kinematic { wheelbase_m: vehicle.wheelbase_m },
-            VehicleModel::Dynamic => Self::Dynamic(DynamicSingleTrack::new(vehicle)),
+            VehicleModel::Dynamic => Self::Dynamic(Box::new(DynamicSingleTrack::new(vehicle))),
         }
     }
 

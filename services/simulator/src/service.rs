@@ -10,7 +10,7 @@ use ipc_types::{
     WirePose, has,
 };
 use runtime::clock::now_ns;
-use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
+use runtime::{Bus, Counters, Inlet, Outlet, Service, Written, join, serve};
 use tracking::Pose;
 
 use crate::clocked::Clocked;
@@ -40,15 +40,39 @@ struct Simulator {
     run: u64,
     config: RunConfig,
     slots: Vec<Slot>,
+    pace: Pace,
+    /// What real time adds.
+    clocked: Option<Clocked>,
+    counters: Counters,
+}
+
+/// What the next tick waits for, in lockstep.
+struct Pace {
     /// Header of the odometry that waits for its command; none between batches.
     waiting: Option<TickHeader>,
     /// What the batch's recorders allow.
     allowance: Allowance,
     /// Header of the odometry that waits for a recorder.
     held_back: Option<TickHeader>,
-    /// What real time adds.
-    clocked: Option<Clocked>,
-    counters: Counters,
+}
+
+impl Pace {
+    /// A batch without recorders, before its first odometry.
+    fn new() -> Self {
+        Self { waiting: None, allowance: Allowance::new(&[]), held_back: None }
+    }
+
+    /// Sends odometry, unless a recorder has not got so far; then it is to be written again.
+    fn publish(&mut self, written: Written<Odometry>, header: TickHeader) -> Result<()> {
+        if !self.allowance.allows(header.tick) {
+            self.held_back = Some(header);
+            return Ok(());
+        }
+        self.held_back = None;
+        self.waiting = Some(header);
+        written.send(|now_ns| TickHeader { odometry_sent_ns: now_ns, ..header })?;
+        Ok(())
+    }
 }
 
 pub(crate) struct Slot {
@@ -69,17 +93,14 @@ impl Simulator {
             run,
             config,
             slots: Vec::new(),
-            waiting: None,
-            allowance: Allowance::new(&[]),
-            held_back: None,
+            pace: Pace::new(),
             clocked: None,
             counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
         })
     }
 
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) -> Result<()> {
-        self.waiting = None;
-        self.held_back = None;
+        self.pace = Pace::new();
         if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
             self.counters.dropped += 1;
             return Ok(());
@@ -106,32 +127,22 @@ impl Simulator {
             self.counters.batch = header.batch;
             return Ok(());
         }
-        self.slots.iter_mut().for_each(Slot::observe);
-        self.allowance = Allowance::new(requests);
-        self.publish(TickHeader {
+        self.pace.allowance = Allowance::new(requests);
+        self.counters.batch = header.batch;
+        self.counters.tick = 0;
+        let slots = &mut self.slots;
+        let first = self.odometry.write(slots.len(), |index| slots[index].observe())?;
+        let header = TickHeader {
             run: self.run,
             batch: header.batch,
             attempt: header.attempt,
             ..TickHeader::default()
-        })
-    }
-
-    fn publish(&mut self, mut header: TickHeader) -> Result<()> {
-        if !self.allowance.allows(header.tick) {
-            self.held_back = Some(header);
-            return Ok(());
-        }
-        header.odometry_sent_ns = now_ns();
-        self.counters.batch = header.batch;
-        self.counters.tick = header.tick;
-        let slots = &self.slots;
-        self.odometry.send(header, slots.len(), |index| slots[index].last)?;
-        self.waiting = Some(header);
-        Ok(())
+        };
+        self.pace.publish(first, header)
     }
 
     fn obey(&mut self, header: TickHeader, commands: &[Command]) -> Result<()> {
-        let Some(waiting) = self.waiting else {
+        let Some(waiting) = self.pace.waiting else {
             self.counters.dropped += 1;
             return Ok(());
         };
@@ -140,38 +151,44 @@ impl Simulator {
             return Ok(());
         }
         let applied_ns = now_ns();
-        for (slot, command) in self.slots.iter_mut().zip(commands) {
+        let Self { slots, counters, .. } = self;
+        let mut any_goes_on = false;
+        let next = self.odometry.write(commands.len(), |index| {
+            let (slot, command) = (&mut slots[index], &commands[index]);
             slot.ended |= has(command.flags, Command::ENDED);
             if slot.ended {
                 slot.last.status |= Odometry::ENDED;
-                continue;
+                return slot.last;
             }
+            any_goes_on = true;
             let (mut speed_mps, mut steering_rad) = (command.speed_mps, command.steering_rad);
             if !(speed_mps.is_finite() && steering_rad.is_finite()) {
-                self.counters.rejected += 1;
+                counters.rejected += 1;
                 (speed_mps, steering_rad) = (0.0, 0.0);
             }
             slot.vehicle.step(speed_mps, steering_rad);
-            slot.observe();
-        }
-        if self.slots.iter().all(|slot| slot.ended) {
-            self.waiting = None;
+            slot.observe()
+        })?;
+        if !any_goes_on {
+            self.pace.waiting = None;
             return Ok(());
         }
-        self.publish(TickHeader {
+        self.counters.tick = waiting.tick + 1;
+        let header = TickHeader {
             run: self.run,
             batch: waiting.batch,
             attempt: waiting.attempt,
             tick: waiting.tick + 1,
             applied_ns,
             ..TickHeader::default()
-        })
+        };
+        self.pace.publish(next, header)
     }
 }
 
 impl Slot {
     /// Takes what the sensors tell now: what is published next.
-    pub(crate) fn observe(&mut self) {
+    pub(crate) fn observe(&mut self) -> Odometry {
         let Observation { measured, truth, speed_mps, yaw_rate_radps, steering_rad, collision } =
             self.vehicle.observe();
         let wire = |pose: Pose| WirePose { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad };
@@ -184,6 +201,7 @@ impl Slot {
             status: Odometry::HAS_TRUTH | if collision { Odometry::COLLISION } else { 0 },
             reserved: 0,
         };
+        self.last
     }
 }
 
@@ -201,11 +219,12 @@ impl Simulator {
                 self.counters.dropped += 1;
                 continue;
             };
-            self.allowance.grant(*credit);
+            self.pace.allowance.grant(*credit);
         }
         if any {
-            self.held_back = None;
-            self.publish(held_back)?;
+            let slots = &self.slots;
+            let again = self.odometry.write(slots.len(), |index| slots[index].last)?;
+            self.pace.publish(again, held_back)?;
         }
         Ok(any)
     }
@@ -218,8 +237,8 @@ fn header_matches(a: TickHeader, b: TickHeader) -> bool {
 impl Service for Simulator {
     fn poll(&mut self) -> Result<bool> {
         // In lockstep a request comes when no command does.
-        if self.waiting.is_some()
-            && self.held_back.is_none()
+        if self.pace.waiting.is_some()
+            && self.pace.held_back.is_none()
             && let Some(command) = self.commands.receive()?
         {
             self.obey(command.header(), command.items())?;
@@ -229,7 +248,7 @@ impl Service for Simulator {
             self.start_batch(request.header(), request.items())?;
             return Ok(true);
         }
-        if let Some(held_back) = self.held_back {
+        if let Some(held_back) = self.pace.held_back {
             return self.catch_up(held_back);
         }
         let Self { clocked, slots, commands, odometry, counters, .. } = self;

@@ -32,14 +32,10 @@ pub struct Observation {
 /// One simulated vehicle.
 #[derive(Debug, Clone)]
 pub struct SimulatedVehicle {
-    /// Shared by a fleet.
-    vehicle: Arc<Vehicle>,
-    noise_settings: Noise,
-    tick_s: f64,
-    /// Share of a step that a pedal makes in one tick.
-    pedal_share: f64,
+    /// Shared by a fleet: what is each vehicle's own is to fit into the nearest cache.
+    kind: Arc<Kind>,
     road: Option<Road>,
-    noise: Option<PoseNoise>,
+    noise: Option<Box<PoseNoise>>,
     gear: GearSelector,
     lateral: Lateral,
 
@@ -53,18 +49,26 @@ pub struct SimulatedVehicle {
     brake: f64,
 }
 
+/// What of a vehicle never changes.
+#[derive(Debug)]
+struct Kind {
+    vehicle: Vehicle,
+    noise: Noise,
+    tick_s: f64,
+    /// Share of a step that a pedal makes in one tick.
+    pedal_share: f64,
+    gear: GearTimes,
+}
+
 impl SimulatedVehicle {
     /// A vehicle of the configured kind at the start of the configured path.
     pub fn new(config: &RunConfig) -> Self {
-        let vehicle = Arc::new(config.vehicle.clone());
+        let vehicle = config.vehicle.clone();
         let tick_s = config.drive.tick_s;
         let mut new = Self {
-            noise_settings: config.noise,
-            tick_s,
-            pedal_share: 1.0 - libm::exp(-tick_s / vehicle.pedal_lag_s),
             road: Road::new(config),
             noise: None,
-            gear: GearSelector::new(&vehicle, tick_s),
+            gear: GearSelector::new(&vehicle),
             lateral: Lateral::new(&vehicle),
             rear_axle: Pose::default(),
             speed_mps: 0.0,
@@ -73,7 +77,13 @@ impl SimulatedVehicle {
             integral: 0.0,
             throttle: 0.0,
             brake: 0.0,
-            vehicle,
+            kind: Arc::new(Kind {
+                noise: config.noise,
+                tick_s,
+                pedal_share: 1.0 - libm::exp(-tick_s / vehicle.pedal_lag_s),
+                gear: GearTimes::new(&vehicle, tick_s),
+                vehicle,
+            }),
         };
         new.reset(config.path.start.into(), None);
         new
@@ -81,10 +91,11 @@ impl SimulatedVehicle {
 
     /// Puts the tracked point at `start`, at rest, and starts the noise afresh from its seed, if there is any.
     pub fn reset(&mut self, start: Pose, noise_seed: Option<u64>) {
-        let back = start.ahead(-self.vehicle.tracked_point_m);
+        let Kind { vehicle, noise, .. } = &*self.kind;
+        let back = start.ahead(-vehicle.tracked_point_m);
         self.rear_axle = Pose { x_m: back.x, y_m: back.y, yaw_rad: start.yaw_rad };
-        self.noise = noise_seed.map(|seed| PoseNoise::new(self.noise_settings, seed));
-        self.gear = GearSelector::new(&self.vehicle, self.tick_s);
+        self.noise = noise_seed.map(|seed| Box::new(PoseNoise::new(*noise, seed)));
+        self.gear = GearSelector::new(vehicle);
         self.lateral.reset();
         self.speed_mps = 0.0;
         self.yaw_rate_radps = 0.0;
@@ -99,11 +110,12 @@ impl SimulatedVehicle {
 
     /// What the sensors tell now. Draws noise: call it once a tick.
     pub fn observe(&mut self) -> Observation {
-        let at = self.rear_axle.ahead(self.vehicle.tracked_point_m);
+        let vehicle = &self.kind.vehicle;
+        let at = self.rear_axle.ahead(vehicle.tracked_point_m);
         let truth = Pose { x_m: at.x, y_m: at.y, yaw_rad: self.rear_axle.yaw_rad };
         let measured = self.noise.as_mut().map_or(truth, |noise| noise.disturb(truth));
         let collision =
-            self.road.as_mut().is_some_and(|road| road.is_left(&self.vehicle, self.rear_axle));
+            self.road.as_mut().is_some_and(|road| road.is_left(vehicle, self.rear_axle));
         Observation {
             measured,
             truth,
@@ -116,10 +128,10 @@ impl SimulatedVehicle {
 
     /// Drives one tick with a command: forward speed, and steering angle of the road wheels.
     pub fn step(&mut self, speed_mps: f64, steering_rad: f64) {
-        let vehicle = &self.vehicle;
-        let tick_s = self.tick_s;
+        let Kind { vehicle, tick_s, pedal_share, gear, .. } = &*self.kind;
+        let tick_s = *tick_s;
         let speed_command = speed_mps.min(vehicle.speed_limit_mps);
-        self.gear.update(speed_command, self.speed_mps);
+        self.gear.update(gear, speed_command, self.speed_mps);
 
         let error = speed_command - self.speed_mps;
         self.integral = (self.integral + vehicle.speed_ki * error * tick_s)
@@ -128,8 +140,8 @@ impl SimulatedVehicle {
         if speed_command < 0.0 {
             pedals = pedals.min(0.0);
         }
-        self.throttle += self.pedal_share * (pedals.max(0.0) - self.throttle);
-        self.brake += self.pedal_share * ((-pedals).max(0.0) - self.brake);
+        self.throttle += pedal_share * (pedals.max(0.0) - self.throttle);
+        self.brake += pedal_share * ((-pedals).max(0.0) - self.brake);
 
         let mut accel_mps2 =
             -vehicle.drag_per_s * self.speed_mps - vehicle.brake_decel_mps2 * self.brake;
@@ -159,32 +171,39 @@ struct GearSelector {
     /// Ticks until drive engages, once it was asked for.
     wait_ticks: Option<u64>,
     tick: u64,
+}
+
+/// How long a gear selector takes.
+#[derive(Debug)]
+struct GearTimes {
     poll_ticks: u64,
     drive_ticks: u64,
     reverse_ticks: u64,
     standing_mps: f64,
 }
 
-impl GearSelector {
+impl GearTimes {
     fn new(vehicle: &Vehicle, tick_s: f64) -> Self {
         let ticks = |time_s: f64| (time_s / tick_s).round() as u64;
         Self {
-            engaged: vehicle.gear_engaged,
-            in_reverse: false,
-            wait_ticks: None,
-            tick: 0,
             poll_ticks: ticks(vehicle.gear_poll_s).max(1),
             drive_ticks: ticks(vehicle.gear_drive_s),
             reverse_ticks: ticks(vehicle.gear_reverse_s),
             standing_mps: vehicle.gear_speed_mps,
         }
     }
+}
 
-    fn update(&mut self, speed_command_mps: f64, speed_mps: f64) {
+impl GearSelector {
+    fn new(vehicle: &Vehicle) -> Self {
+        Self { engaged: vehicle.gear_engaged, in_reverse: false, wait_ticks: None, tick: 0 }
+    }
+
+    fn update(&mut self, times: &GearTimes, speed_command_mps: f64, speed_mps: f64) {
         if self.engaged {
             return;
         }
-        let polls = self.tick.is_multiple_of(self.poll_ticks);
+        let polls = self.tick.is_multiple_of(times.poll_ticks);
         self.tick += 1;
         if let Some(ticks) = &mut self.wait_ticks {
             *ticks = ticks.saturating_sub(1);
@@ -193,14 +212,14 @@ impl GearSelector {
             self.engaged = true;
             return;
         }
-        if !polls || speed_mps.abs() >= self.standing_mps {
+        if !polls || speed_mps.abs() >= times.standing_mps {
             return;
         }
         if speed_command_mps < 0.0 {
             self.in_reverse = true;
             self.wait_ticks = None;
         } else if speed_command_mps > 0.0 && self.wait_ticks.is_none() {
-            let ticks = if self.in_reverse { self.reverse_ticks } else { self.drive_ticks };
+            let ticks = if self.in_reverse { times.reverse_ticks } else { times.drive_ticks };
             self.wait_ticks = Some(ticks);
         }
     }
@@ -296,7 +315,7 @@ mod tests {
                 prop_assert!(seen.truth.is_finite());
                 prop_assert!((0.0..=9.0 + 1e-9).contains(&seen.speed_mps));
                 prop_assert!((seen.steering_rad - steering).abs() <= 0.6 * 0.01 + 1e-12);
-                prop_assert!(seen.steering_rad.abs() <= vehicle.vehicle.steering_limit_rad);
+                prop_assert!(seen.steering_rad.abs() <= vehicle.kind.vehicle.steering_limit_rad);
                 steering = seen.steering_rad;
             }
         }

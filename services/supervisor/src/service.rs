@@ -7,13 +7,13 @@ use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
     BatchHeader, Command, DriveRequest, Odometry, RawCommand, Rearm, Safety, TickHeader, WakeRole,
-    Zone, has,
+    WirePose, Zone, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
 use tracking::{Pose, ZoneTracker};
 
-use crate::{Movement, Passed, State, Wanted, Watch};
+use crate::{Movement, State, Wanted, Watch};
 
 /// Runs the process until it is asked to stop.
 ///
@@ -45,8 +45,10 @@ struct Supervisor {
     /// Zones that begin with the next tick.
     entered: Vec<Zone>,
     batch: BatchHeader,
-    /// A raw command of a batch whose request has not come yet: the two travel on different topics.
+    /// A raw command of a batch whose request has not come yet: the two travel on different topics. So with odometry
+    /// that came before the raw command ahead of it was answered.
     early: Option<Received<RawCommand>>,
+    early_odometry: Option<Received<Odometry>>,
     /// What real time adds to a batch.
     clocked: Option<Clocked>,
     counters: Counters,
@@ -105,6 +107,7 @@ impl Supervisor {
             entered: Vec::new(),
             batch: BatchHeader::default(),
             early: None,
+            early_odometry: None,
             clocked: None,
             counters: Counters::default(),
         })
@@ -155,21 +158,8 @@ impl Supervisor {
         }
         let joins = self.clocked.as_ref().is_some_and(|it| it.joins && it.seen.is_none());
         for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
-            let pose = Pose {
-                x_m: odometry.measured.x_m,
-                y_m: odometry.measured.y_m,
-                yaw_rad: odometry.measured.yaw_rad,
-            };
-            let Odometry { speed_mps, yaw_rate_radps, steering_rad, .. } = *odometry;
-            let movement = Movement { pose, speed_mps, yaw_rate_radps };
-            if joins {
-                slot.watch.resume(movement, steering_rad);
-            }
-            let faults = slot.watch.see(header.tick, movement);
-            self.counters.rejected += u64::from(faults != 0);
-            if pose.is_finite() {
-                slot.measured = pose;
-            }
+            let believed = slot.see(header.tick, odometry, joins);
+            self.counters.rejected += u64::from(!believed);
         }
         if let Some(clocked) = &mut self.clocked {
             // The clock begins with the first tick: before it, the vehicle is still on its way to the start.
@@ -187,12 +177,80 @@ impl Supervisor {
             self.counters.dropped += 1;
             return Ok(());
         }
-        if self.clocked.is_some() && !self.is_young(header, received_ns) {
+        if self.clocked.is_none() {
+            return self.pass_in_lockstep(header, raw, received_ns);
+        }
+        if !self.is_young(header, received_ns) {
             self.counters.late += 1;
             return Ok(());
         }
         self.hear_out(header, raw)?;
         self.send(header, received_ns, true)
+    }
+
+    /// The same where nothing happens between odometry, answer and command: all of them for one vehicle after the
+    /// other, since a fleet does not fit into the nearest cache.
+    fn pass_in_lockstep(
+        &mut self,
+        header: TickHeader,
+        raw: &[RawCommand],
+        received_ns: u64,
+    ) -> Result<()> {
+        let odometry = self.odometry_of(header)?;
+        let seen = odometry.as_ref().map_or(&[][..], Received::items);
+        self.entered.clear();
+        self.counters.batch = header.batch;
+        self.counters.tick = header.tick + 1;
+        let (batch, tick_s) = (self.batch, self.tick_s);
+        let Self { slots, entered, zones, counters, .. } = self;
+        let mut tells_safety = false;
+        let command = |index: usize| {
+            let slot = &mut slots[index];
+            if let Some(odometry) = seen.get(index) {
+                let believed = slot.see(header.tick, odometry, false);
+                counters.rejected += u64::from(!believed);
+            }
+            if let Some(zone) = slot.hear(header.tick, &raw[index]) {
+                let from_tick = header.tick + 1;
+                entered.push(Zone { from_tick, slot: index as u32, zone });
+            }
+            let state = slot.watch.state();
+            let (command, rejected) = slot.command(tick_s, 0, true);
+            tells_safety |= slot.watch.state() != state;
+            counters.rejected += u64::from(rejected);
+            command
+        };
+        let command = self.commands.write(raw.len(), command)?;
+        // Before the command: when the vehicle answers that, the zones must be known.
+        announce(zones, batch, entered)?;
+        let mut sent_ns = 0;
+        command.send(|now_ns| {
+            sent_ns = now_ns;
+            TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now_ns, ..header }
+        })?;
+        if tells_safety { self.tell_safety(sent_ns) } else { Ok(()) }
+    }
+
+    /// The odometry that a raw command answers, in lockstep: it came before. The first one of the next batch may have
+    /// come, too, and anything that does not belong.
+    fn odometry_of(&mut self, header: TickHeader) -> Result<Option<Received<Odometry>>> {
+        let place = |header: TickHeader| (header.batch, header.attempt, header.tick);
+        let mut next = self.early_odometry.take();
+        loop {
+            let Some(odometry) = next.map_or_else(|| self.odometry.receive(), |it| Ok(Some(it)))?
+            else {
+                return Ok(None);
+            };
+            next = None;
+            let it = odometry.header();
+            let is_ours = it.run == self.run;
+            if is_ours && place(it) == place(header) && odometry.items().len() == self.slots.len() {
+                return Ok(Some(odometry));
+            }
+            if is_ours && it.tick == 0 && place(it) > place(header) {
+                self.early_odometry = Some(odometry);
+            }
+        }
     }
 
     /// Whether an answer is young enough to be passed, and newer than the one before.
@@ -216,34 +274,21 @@ impl Supervisor {
         }
         self.entered.clear();
         for (index, (slot, raw)) in self.slots.iter_mut().zip(raw).enumerate() {
-            slot.raw = *raw;
-            slot.raw_tick = header.tick;
-            slot.ended |= has(raw.flags, Command::ENDED);
             if joins {
                 slot.tracker.resume(raw.reference_along_m);
                 if has(raw.flags, RawCommand::FROZEN) {
                     slot.watch.stop(Safety::RESTARTED);
                 }
             }
-            if slot.ended {
-                continue;
-            }
-            let zone = slot.tracker.update(slot.measured, raw.reference_along_m);
-            if zone != slot.zone {
-                slot.zone = zone;
-                let (from_tick, zone) = (header.tick + 1, zone as u32);
+            if let Some(zone) = slot.hear(header.tick, raw) {
+                let from_tick = header.tick + 1;
                 self.entered.push(Zone { from_tick, slot: index as u32, zone });
             }
         }
-        if !self.entered.is_empty() {
-            let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
-            let entered = &self.entered;
-            self.zones.send(header, entered.len(), |index| entered[index])?;
-        }
-        Ok(())
+        announce(&self.zones, self.batch, &self.entered)
     }
 
-    /// Sends a command: what the raw command wants, if it is an answer, within limits; else one of our own.
+    /// Sends a command in real time: what the raw command wants, if it is an answer, within limits; else one of our own.
     fn send(&mut self, header: TickHeader, received_ns: u64, is_answer: bool) -> Result<()> {
         let now = now_ns();
         let (mut dt_s, mut faults) = (self.tick_s, 0);
@@ -259,25 +304,16 @@ impl Supervisor {
         let Self { slots, counters, .. } = self;
         let header =
             TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now, ..header };
-        let clocked = self.clocked.is_some();
-        // In real time every command tells it: a controller that joins needs the last one.
-        let mut tells_safety = clocked;
         self.commands.send(header, slots.len(), |index| {
             let slot = &mut slots[index];
             // Behind a rearm the reference stands still until the controller has heard of it.
-            let is_frozen = clocked && has(slot.raw.flags, RawCommand::FROZEN);
-            let wanted = (is_answer && !is_frozen).then_some(Wanted {
-                speed_mps: slot.raw.speed_mps,
-                yaw_rate_radps: slot.raw.yaw_rate_radps,
-                steering_rad: slot.raw.steering_rad,
-            });
-            let state = slot.watch.state();
-            let passed = slot.watch.command(dt_s, faults, wanted);
-            tells_safety |= slot.watch.state() != state;
-            counters.rejected += u64::from(passed.change.rejected);
-            to_command(passed, slot)
+            let is_frozen = has(slot.raw.flags, RawCommand::FROZEN);
+            let (command, rejected) = slot.command(dt_s, faults, is_answer && !is_frozen);
+            counters.rejected += u64::from(rejected);
+            command
         })?;
-        if tells_safety { self.tell_safety(now) } else { Ok(()) }
+        // Every command tells it: a controller that joins needs the last one.
+        self.tell_safety(now)
     }
 
     fn tell_safety(&mut self, now_ns: u64) -> Result<()> {
@@ -340,28 +376,78 @@ impl Supervisor {
     }
 }
 
-fn to_command(passed: Passed, slot: &Slot) -> Command {
-    let flag = |on: bool, bit: u32| if on { bit } else { 0 };
-    let change = passed.change;
-    Command {
-        // A drive that has ended is no reason to go on.
-        speed_mps: if slot.ended { 0.0 } else { passed.speed_mps },
-        yaw_rate_radps: passed.yaw_rate_radps,
-        steering_rad: passed.steering_rad,
-        flags: flag(slot.ended, Command::ENDED)
-            | flag(change.speed_limited, Command::SPEED_LIMITED)
-            | flag(change.steering_limited, Command::STEERING_LIMITED)
-            | flag(change.rejected, Command::REJECTED)
-            | flag(change.acceleration_limited, Command::ACCELERATION_LIMITED)
-            | flag(change.steering_rate_limited, Command::STEERING_RATE_LIMITED)
-            | flag(change.lateral_limited, Command::LATERAL_LIMITED)
-            | match slot.watch.state() {
-                State::Normal => 0,
-                State::Degraded => Command::DEGRADED,
-                State::Stopping => Command::STOPPING,
-                State::Stopped => Command::STOPPED,
-            },
-        zone: slot.zone as u32,
+/// Announces zones that begin with the next tick.
+fn announce(zones: &Outlet<Zone>, batch: BatchHeader, entered: &[Zone]) -> Result<()> {
+    if !entered.is_empty() {
+        let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..batch };
+        zones.send(header, entered.len(), |index| entered[index])?;
+    }
+    Ok(())
+}
+
+impl Slot {
+    /// Takes odometry; whether it could be believed.
+    fn see(&mut self, tick: u64, odometry: &Odometry, joins: bool) -> bool {
+        let WirePose { x_m, y_m, yaw_rad } = odometry.measured;
+        let pose = Pose { x_m, y_m, yaw_rad };
+        let Odometry { speed_mps, yaw_rate_radps, steering_rad, .. } = *odometry;
+        let movement = Movement { pose, speed_mps, yaw_rate_radps };
+        if joins {
+            self.watch.resume(movement, steering_rad);
+        }
+        let faults = self.watch.see(tick, movement);
+        if pose.is_finite() {
+            self.measured = pose;
+        }
+        faults == 0
+    }
+
+    /// Takes over what the controller says; the zone that the vehicle has entered, if there is one.
+    fn hear(&mut self, tick: u64, raw: &RawCommand) -> Option<u32> {
+        self.raw = *raw;
+        self.raw_tick = tick;
+        self.ended |= has(raw.flags, Command::ENDED);
+        if self.ended {
+            return None;
+        }
+        let zone = self.tracker.update(self.measured, raw.reference_along_m);
+        let is_new = zone != self.zone;
+        self.zone = zone;
+        is_new.then_some(zone as u32)
+    }
+
+    /// What the raw command wants, if it is an answer, within limits; else a command of our own. And whether the raw
+    /// command was no number.
+    fn command(&mut self, dt_s: f64, faults: u32, is_answer: bool) -> (Command, bool) {
+        let wanted = is_answer.then_some(Wanted {
+            speed_mps: self.raw.speed_mps,
+            yaw_rate_radps: self.raw.yaw_rate_radps,
+            steering_rad: self.raw.steering_rad,
+        });
+        let passed = self.watch.command(dt_s, faults, wanted);
+        let flag = |on: bool, bit: u32| if on { bit } else { 0 };
+        let change = passed.change;
+        let command = Command {
+            // A drive that has ended is no reason to go on.
+            speed_mps: if self.ended { 0.0 } else { passed.speed_mps },
+            yaw_rate_radps: passed.yaw_rate_radps,
+            steering_rad: passed.steering_rad,
+            flags: flag(self.ended, Command::ENDED)
+                | flag(change.speed_limited, Command::SPEED_LIMITED)
+                | flag(change.steering_limited, Command::STEERING_LIMITED)
+                | flag(change.rejected, Command::REJECTED)
+                | flag(change.acceleration_limited, Command::ACCELERATION_LIMITED)
+                | flag(change.steering_rate_limited, Command::STEERING_RATE_LIMITED)
+                | flag(change.lateral_limited, Command::LATERAL_LIMITED)
+                | match self.watch.state() {
+                    State::Normal => 0,
+                    State::Degraded => Command::DEGRADED,
+                    State::Stopping => Command::STOPPING,
+                    State::Stopped => Command::STOPPED,
+                },
+            zone: self.zone as u32,
+        };
+        (command, change.rejected)
     }
 }
 
@@ -402,7 +488,7 @@ impl Service for Supervisor {
         };
         // The raw command is looked for first: the pose that it answers was there before it. In real time odometry counts
         // even when nobody answers it.
-        if (raw.is_some() || self.clocked.is_some())
+        if self.clocked.is_some()
             && let Some(odometry) = self.odometry.receive_newest()?
         {
             self.see(odometry.header(), odometry.items());
@@ -424,5 +510,72 @@ impl Service for Supervisor {
 
     fn due_ns(&self) -> u64 {
         self.own_due_ns().unwrap_or(u64::MAX)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use config::Layers;
+    use runtime::run::RunNames;
+
+    #[test]
+    fn what_overtakes_its_request_is_held_counts_as_news_and_is_answered_with_its_odometry() {
+        let names = RunNames::create().unwrap();
+        let bus = Bus::create(&names, 1).unwrap();
+        let config = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+        let mut supervisor = Supervisor::new(&bus, &config, names.run, now_ns()).unwrap();
+        let (odometry, raw_commands) = (bus.outlet().unwrap(), bus.outlet().unwrap());
+        let requests = bus.outlet().unwrap();
+        let commands = bus.observe::<Command>().unwrap();
+        let ask = |batch| {
+            let header =
+                BatchHeader { run: names.run, batch, attempt: 1, ..BatchHeader::default() };
+            requests.send(header, 1, |_| DriveRequest::default()).unwrap();
+        };
+        let at = |batch, tick| TickHeader {
+            run: names.run,
+            batch,
+            attempt: 1,
+            tick,
+            ..TickHeader::default()
+        };
+        let see = |header, x_m| {
+            let measured = WirePose { x_m, ..WirePose::default() };
+            odometry.send(header, 1, |_| Odometry { measured, ..Odometry::default() }).unwrap();
+        };
+        let want = |header, flags| {
+            raw_commands
+                .send(header, 1, |_| RawCommand { flags, ..RawCommand::default() })
+                .unwrap();
+        };
+
+        see(at(1, 0), 0.25);
+        want(at(1, 0), 0);
+        // News, although there is nothing to be done: the request may have come meanwhile, and its wake-up is over.
+        assert!(supervisor.poll().unwrap());
+        assert!(!supervisor.poll().unwrap());
+        ask(1);
+        assert!(supervisor.poll().unwrap() && commands.receive().unwrap().is_none());
+        assert!(supervisor.poll().unwrap());
+        assert_eq!(commands.receive().unwrap().unwrap().header().batch, 1);
+        assert_eq!(supervisor.slots[0].measured.x_m, 0.25);
+
+        // The next batch begins before this one's last raw command is answered: each has its own odometry.
+        see(at(1, 1), 0.5);
+        want(at(1, 1), Command::ENDED);
+        see(at(2, 0), 0.75);
+        assert!(supervisor.poll().unwrap());
+        assert_eq!(supervisor.slots[0].measured.x_m, 0.5);
+        want(at(2, 0), 0);
+        ask(2);
+        while supervisor.poll().unwrap() {}
+        assert_eq!((supervisor.batch.batch, supervisor.slots[0].measured.x_m), (2, 0.75));
+        let answered: Vec<u64> = std::iter::from_fn(|| commands.receive().unwrap())
+            .map(|command| command.header().batch)
+            .collect();
+        assert_eq!(answered, [1, 2]);
+        drop((supervisor, odometry, raw_commands, requests, commands, bus));
+        names.remove();
     }
 }

@@ -115,7 +115,8 @@ impl Reference {
             }
             Advance::Projection => {
                 let (x_m, y_m) = (measured.x_m, measured.y_m);
-                self.along_m = self.plan.path.project(x_m, y_m, self.along_m, Self::WINDOW_M).along_m;
+                self.along_m =
+                    self.plan.path.project(x_m, y_m, self.along_m, Self::WINDOW_M).along_m;
                 self.plan.path.at(self.along_m + self.plan.lookahead_m)
             }
         }
@@ -163,7 +164,8 @@ impl Reference {
 
     /// Whether the reference has reached the end of the path.
     pub fn at_end(&self) -> bool {
-        let ahead_m = if self.plan.advance == Advance::Projection { self.plan.lookahead_m } else { 0.0 };
+        let ahead_m =
+            if self.plan.advance == Advance::Projection { self.plan.lookahead_m } else { 0.0 };
         self.along_m + ahead_m >= self.plan.path.length_m()
     }
 
