@@ -39,7 +39,5 @@ class MultiBody(vehicle.Car):
         self.steering = self.model.steering()
 
 
-vehicle.Car = MultiBody
-
 if __name__ == "__main__":
-    vehicle.main()
+    vehicle.main(MultiBody)
