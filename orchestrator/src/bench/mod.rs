@@ -261,6 +261,12 @@ fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {
             (sixteen / 16.0 - calls) / (ring / 16.0),
         );
     }
+    if rows.iter().any(|(subject, _)| *subject == Subject::Pipeline(64)) {
+        say!(
+            "fleet of 64: a vehicle and tick costs {:.2} × plain calls",
+            of(Subject::Pipeline(64)) / 64.0 / calls,
+        );
+    }
     for count in [1, 3, 6] {
         if let (Some(one), Some(watched)) = (one, median(Subject::Observers(count))) {
             say!("{count} observers: the median tick is {:.3} of that without", watched / one);
