@@ -566,12 +566,9 @@ mod with {
             onlooker.look_for(Duration::from_millis(300));
             onlooker.until_it_drives();
             let pid = sandbox.service("ros2-vehicle").unwrap();
-            onlooker.safe_ns = None;
-            let fault_ns = now_ns();
             // Every third one freezes, which is found out by its silence.
-            signal(pid, if kill % 3 == 2 { Signal::STOP } else { Signal::KILL });
-            onlooker.look_until("a safe command", |it| it.safe_ns.is_some_and(|at| at >= fault_ns));
-            times_ms.push((onlooker.safe_ns.unwrap() - fault_ns) as f64 / 1e6);
+            let fault = if kill % 3 == 2 { Signal::STOP } else { Signal::KILL };
+            times_ms.push(onlooker.strike("ros2-vehicle", pid, fault).0);
             // Another one drives.
             onlooker.look_until("another adapter", |_| {
                 sandbox.service("ros2-vehicle").is_some_and(|now| now != pid)

@@ -246,10 +246,14 @@ impl Training<'_> {
 }
 
 impl Drop for Training<'_> {
+    /// Behind a test that failed on the way: says how the run stood.
     fn drop(&mut self) {
-        if let Some(child) = &mut self.child {
-            let _ = child.kill();
-            let _ = child.wait();
+        let Some(mut child) = self.child.take() else { return };
+        let stood = child.try_wait();
+        let _ = child.kill();
+        let Ok(output) = child.wait_with_output() else { return };
+        if std::thread::panicking() {
+            eprintln!("it stood: {stood:?}; {}", self.sandbox.story(&self.out, &output));
         }
     }
 }

@@ -7,6 +7,7 @@ use runtime::clock::now_ns;
 use runtime::observer::Observer;
 use runtime::run::RunNames;
 use runtime::{Inlet, Outlet};
+use rustix::process::{Pid, Signal, kill_process};
 
 /// A roundabout without an end: a quarter of an hour, and the drive gear in.
 pub const ROUNDABOUT: &[&str] = &[
@@ -33,8 +34,13 @@ pub struct Onlooker {
     pub seen: Option<(TickHeader, Odometry)>,
     pub state: u32,
     pub reasons: u32,
-    /// Time of the first safe command, or of the vehicle's own stop, since this was last cleared.
+    /// Time of the first safe command, or of the vehicle's own stop, behind the last fault.
     pub safe_ns: Option<u64>,
+    /// Time of the first command behind it that the successor of whoever was hit has had a part in.
+    pub healed_ns: Option<u64>,
+    fault_ns: u64,
+    /// Who was hit, and since when it cannot have sent anything.
+    hit: Option<(&'static str, u64)>,
     /// The worst of all: distance from the path, speed.
     pub off_path_m: f64,
     pub speed_mps: f64,
@@ -56,6 +62,9 @@ impl Onlooker {
             state: Safety::NORMAL,
             reasons: 0,
             safe_ns: None,
+            healed_ns: None,
+            fault_ns: 0,
+            hit: None,
             off_path_m: 0.0,
             speed_mps: 0.0,
             _observer: observer,
@@ -69,6 +78,7 @@ impl Onlooker {
             if has(command.flags, own) {
                 self.note_safe(header.supervisor_sent_ns);
             }
+            self.note_healed(header);
             self.command = Some((header, command));
         }
         while let Some(message) = self.odometry.receive().unwrap() {
@@ -85,8 +95,36 @@ impl Onlooker {
         }
     }
 
-    pub fn note_safe(&mut self, at_ns: u64) {
-        self.safe_ns = Some(self.safe_ns.map_or(at_ns, |before| before.min(at_ns)));
+    fn note_safe(&mut self, at_ns: u64) {
+        if at_ns >= self.fault_ns {
+            self.safe_ns = Some(self.safe_ns.map_or(at_ns, |before| before.min(at_ns)));
+        }
+    }
+
+    fn note_healed(&mut self, header: TickHeader) {
+        let Some((service, since_ns)) = self.hit else { return };
+        let its_part_ns = match service {
+            "controller" => header.controller_sent_ns,
+            "supervisor" => header.supervisor_sent_ns,
+            _ => header.odometry_sent_ns,
+        };
+        if its_part_ns > since_ns {
+            self.healed_ns.get_or_insert(header.supervisor_sent_ns);
+        }
+    }
+
+    /// Kills or freezes a process of the run; waits for the first safe command behind it, for the vehicle's own stop, or
+    /// for a successor that is there before the vehicle had to stop. Milliseconds until then, and whether it was that.
+    pub fn strike(&mut self, service: &'static str, pid: i32, signal: Signal) -> (f64, bool) {
+        self.look();
+        (self.safe_ns, self.healed_ns, self.hit) = (None, None, None);
+        self.fault_ns = now_ns();
+        kill_process(Pid::from_raw(pid).unwrap(), signal).unwrap();
+        while is_running(pid) {}
+        self.hit = Some((service, now_ns()));
+        self.look_until("a safe command", |it| it.safe_ns.or(it.healed_ns).is_some());
+        let until_ns = self.safe_ns.into_iter().chain(self.healed_ns).min().unwrap();
+        ((until_ns - self.fault_ns) as f64 / 1e6, self.safe_ns.is_none())
     }
 
     /// Looks until something holds.
@@ -150,4 +188,11 @@ fn off_path_m(odometry: &Odometry) -> f64 {
     let (x_m, y_m) = (odometry.truth.x_m, odometry.truth.y_m);
     let from_circle_m = ((x_m - 4.0).hypot(y_m - 18.0) - 18.0).abs();
     if x_m < 4.0 && y_m < 9.0 { from_circle_m.min(y_m.abs()) } else { from_circle_m }
+}
+
+/// Whether a process still does anything: a signal takes effect a moment after it was sent.
+fn is_running(pid: i32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let state = stat.rsplit_once(") ").and_then(|(_, rest)| rest.chars().next());
+    state.is_some_and(|state| !"TZX".contains(state))
 }
