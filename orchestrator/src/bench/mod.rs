@@ -19,8 +19,8 @@ use crate::terminal::{say, tell};
 /// that what lies between them hardly counts.
 pub const MANEUVER: &str = "roundabout";
 
-/// Settings of a grid of so many gain sets, a power of two from 16 on, spread over all of the manoeuvre's: what a tick costs hangs on
-/// the gains, too.
+/// Settings of a grid of so many gain sets, a power of two from 16 on, spread over all of the manoeuvre's: what a tick
+/// costs hangs on the gains, too.
 ///
 /// # Errors
 /// None: the presets are sound.

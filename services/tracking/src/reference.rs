@@ -152,11 +152,6 @@ impl Reference {
         self.along_m.min(self.plan.path.length_m())
     }
 
-    /// The path.
-    pub fn path(&self) -> &Path {
-        &self.plan.path
-    }
-
     /// Pose of the path's end.
     pub fn end(&self) -> Pose {
         self.plan.end
