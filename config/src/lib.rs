@@ -13,6 +13,7 @@ mod grid;
 pub mod launch;
 mod layers;
 mod own_path;
+mod parameters;
 mod path_file;
 mod points;
 mod presets;

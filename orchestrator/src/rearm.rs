@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use ipc_types::{BatchHeader, Rearm, Safety};
+use ipc_types::{Attempt, BatchHeader, Rearm, Safety};
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
 
@@ -48,8 +48,8 @@ pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
             }
             if let Some(slots) = &meant {
                 // Again and again: it is heard only while the vehicle stands.
-                let header =
-                    BatchHeader { run: run.names.run, sent_ns: now_ns(), ..BatchHeader::default() };
+                let attempt = Attempt::between_batches(run.names.run);
+                let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
                 for slot in slots {
                     rearms.send(header, 1, |_| Rearm { slot: *slot, reserved: 0 })?;
                 }
