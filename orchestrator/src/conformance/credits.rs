@@ -6,7 +6,7 @@ use ipc_types::{Command, Credit, DriveRequest};
 
 use super::checks::Findings;
 use super::stand::{ANSWER, Seen, Stand};
-use crate::Failure;
+use crate::words::Failure;
 
 /// Waits for the credits of whoever records.
 pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {

@@ -9,8 +9,8 @@ use runtime::run::segments_of;
 
 use super::checks::Findings;
 use super::stand::{SILENCE, Stand};
-use crate::Failure;
-use crate::process::describe;
+use crate::pipeline::process::describe;
+use crate::words::Failure;
 
 const READY_WITHIN_NS: u64 = 5_000_000_000;
 /// A vehicle that is late is waited for a little longer, so that the rest can be looked at.

@@ -6,7 +6,7 @@ use ipc_types::{Attempt, Command, Odometry, TickHeader, WirePose, has};
 
 use super::checks::Findings;
 use super::stand::{ANSWER, MAX_SLOTS, SILENCE, Seen, Stand};
-use crate::Failure;
+use crate::words::Failure;
 
 /// How near to its start a vehicle must stand: a real one is put there by hand.
 const NEAR_M: f64 = 0.5;

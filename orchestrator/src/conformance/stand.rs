@@ -13,9 +13,9 @@ use ipc_types::{
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Inlet, Outlet};
 
-use crate::Failure;
-use crate::pipeline::Interrupts;
-use crate::process::{Process, clean_up_behind, describe};
+use crate::pipeline::main_loop::Interrupts;
+use crate::pipeline::process::{Process, clean_up_behind, describe};
+use crate::words::Failure;
 
 /// The most slots that are driven at once.
 pub(super) const MAX_SLOTS: usize = 16;

@@ -22,17 +22,17 @@ use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Wait, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
-use crate::Failure;
-use crate::cores::Placement;
-use crate::housekeeping::RunState;
-use crate::member::{Member, Refused, State};
-use crate::observers::ObserverCare;
-use crate::process::clean_up_behind;
-use crate::progress::Progress;
-use crate::recovery::{RandomKills, Recoveries};
-use crate::restart::{Budget, Decision};
-use crate::result::RunFacts;
-use crate::sequencer::Sequencer;
+use crate::commands::housekeeping::RunState;
+use crate::pipeline::cores::Placement;
+use crate::pipeline::member::{Member, Refused, State};
+use crate::pipeline::observers::ObserverCare;
+use crate::pipeline::process::clean_up_behind;
+use crate::pipeline::progress::Progress;
+use crate::pipeline::recovery::{RandomKills, Recoveries};
+use crate::pipeline::restart::{Budget, Decision};
+use crate::pipeline::sequencer::Sequencer;
+use crate::runs::result::RunFacts;
+use crate::words::Failure;
 
 /// A batch without a tick for so long has lost a message; progress is told with each sign of life.
 const STALLED_AFTER_NS: u64 = 500_000_000;

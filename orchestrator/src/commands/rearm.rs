@@ -6,10 +6,10 @@ use ipc_types::{Attempt, BatchHeader, Rearm, Safety};
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
 
-use crate::Failure;
-use crate::housekeeping::living_run;
-use crate::pipeline::describe_reasons;
-use crate::terminal::say;
+use crate::commands::housekeeping::living_run;
+use crate::pipeline::main_loop::describe_reasons;
+use crate::words::Failure;
+use crate::words::terminal::say;
 
 /// The supervisor tells its state with every command: it answers within this, or not at all.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
