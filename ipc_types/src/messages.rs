@@ -3,11 +3,7 @@
 use std::cmp::Ordering;
 
 use crate::layout::{ZeroCopySend, constants, message};
-
-/// The most parameters that a law has.
-pub const MAX_PARAMETERS: usize = 16;
-/// The most numbers of a law's state.
-pub const MAX_STATE: usize = 64;
+use crate::{MAX_PARAMETERS, MAX_STATE};
 
 /// Values of [`Odometry::status`] and of the command's flags are bits; this tests one.
 pub const fn has(bits: u32, bit: u32) -> bool {
