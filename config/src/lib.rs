@@ -11,6 +11,7 @@
 mod error;
 mod grid;
 pub mod launch;
+mod law;
 mod layers;
 mod own_path;
 mod path_file;
@@ -25,14 +26,17 @@ mod tuned;
 mod validate;
 
 pub use error::ConfigError;
-pub use grid::{Axis, Grid, GridPosition};
+pub use grid::{Axes, Axis, Grid, GridAxis, GridPosition};
+pub use law::{
+    LawConfig, MAX_PARAMETERS, NamedParameters, ParameterConfig, Parameters, Scale, Settings,
+    paper_law,
+};
 pub use layers::Layers;
-pub use presets::{Preset, maneuver_names, nearest, presets};
+pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};
 pub use schema::*;
 pub use sweep::{SweepKind, SweepPlan};
 pub use tuned::{PastGains, Provenance, Replacement, TunedGains};
-pub use validate::check_gains;
 
 /// The largest fleet that one message carries.
 pub const MAX_FLEET: usize = validate::MAX_FLEET as usize;

@@ -4,21 +4,21 @@
 
 use std::collections::BTreeMap;
 
-use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, Value};
+use toml_edit::{ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value};
 
-use crate::{Gains, Provenance, Replacement, TunedGains, Vehicle};
+use crate::{NamedParameters, Provenance, Replacement, TunedGains, Vehicle};
 
 /// Sets that a manoeuvre's history holds at most; the oldest go.
 pub const HISTORY_LIMIT: usize = 20;
 
-/// A gain may change by this share of its present value; for more the user has to insist.
+/// A parameter may change by this share of its present value; for more the user has to insist.
 pub const CHANGE_LIMIT: f64 = 0.3;
 
-/// A gain that would change by more than [`CHANGE_LIMIT`].
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// A parameter that would change by more than [`CHANGE_LIMIT`].
+#[derive(Debug, Clone, PartialEq)]
 pub struct Change {
     /// Its name.
-    pub name: &'static str,
+    pub name: String,
     /// Its present value.
     pub old: f64,
     /// Its new value.
@@ -32,14 +32,16 @@ impl Change {
     }
 }
 
-/// How each gain changes, in the paper's order.
-pub fn changes(old: Gains, new: Gains) -> [Change; 4] {
-    let (old, new) = (old.to_array(), new.to_array());
-    std::array::from_fn(|i| Change { name: Gains::NAMES[i], old: old[i], new: new[i] })
+/// How each parameter changes, in the order of the new ones; those that only one side has are left out.
+pub fn changes(old: &NamedParameters, new: &NamedParameters) -> Vec<Change> {
+    let change = |(name, new): &(String, f64)| {
+        Some(Change { name: name.clone(), old: old.get(name)?, new: *new })
+    };
+    new.0.iter().filter_map(change).collect()
 }
 
-/// The gains that change by more than [`CHANGE_LIMIT`].
-pub fn large_changes(old: Gains, new: Gains) -> Vec<Change> {
+/// The parameters that change by more than [`CHANGE_LIMIT`].
+pub fn large_changes(old: &NamedParameters, new: &NamedParameters) -> Vec<Change> {
     // 1.3 / 1 lies some bits above 1.3: a change by exactly the limit passes.
     let limit = 100.0 * CHANGE_LIMIT + 1e-9;
     changes(old, new).into_iter().filter(|change| change.percent().abs() > limit).collect()
@@ -71,23 +73,23 @@ pub fn rollback_place(set: &TunedGains, nth: Option<usize>) -> Option<usize> {
     }
 }
 
-/// Writes gains and their provenance below `gains.MANEUVER`. What stood there goes onto the history.
+/// Writes a law's parameters and their provenance below `gains.MANEUVER`. What stood there goes onto the history.
 ///
 /// # Errors
 /// If the text is no TOML, or what stands there are no gains.
 pub fn promote(
     text: &str,
     maneuver: &str,
-    gains: Gains,
+    law: &str,
+    parameters: &NamedParameters,
     provenance: &Provenance,
 ) -> Result<String, String> {
     edit(text, maneuver, |set| {
-        if set.contains_key("kv") {
+        if set.contains_key("kv") || set.contains_key("parameters") {
             retire(set, &provenance.promoted_at, Replacement::Promotion)?;
         }
-        for (name, gain) in Gains::NAMES.into_iter().zip(gains.to_array()) {
-            put(set, name, gain.into());
-        }
+        let values = parameters.0.iter().map(|(name, value)| (name.clone(), (*value).into()));
+        put_set(set, law, values);
         let origin = toml::to_string(provenance).map_err(|error| error.to_string())?;
         let origin: DocumentMut = origin.parse().map_err(|error| format!("{error}"))?;
         put_table(set, "provenance", origin.as_table().clone());
@@ -108,10 +110,8 @@ pub fn rollback(text: &str, maneuver: &str, place: usize, at: &str) -> Result<St
         let mut past = history.get(place).expect("checked").clone();
         history.remove(place);
         retire(set, at, Replacement::Rollback)?;
-        for name in Gains::NAMES {
-            let gain = past.remove(name).and_then(|item| item.into_value().ok());
-            put(set, name, gain.ok_or_else(|| format!("history: has no {name}"))?);
-        }
+        let (law, parameters) = set_of(&past).map_err(|why| format!("history: {why}"))?;
+        put_set(set, &law, parameters);
         match past.remove("provenance").map(Item::into_table) {
             Some(Ok(origin)) => put_table(set, "provenance", origin),
             _ => drop(set.remove("provenance")),
@@ -120,15 +120,11 @@ pub fn rollback(text: &str, maneuver: &str, place: usize, at: &str) -> Result<St
     })
 }
 
-/// Moves a copy of the present gains onto the history.
+/// Moves a copy of the present parameters onto the history.
 fn retire(set: &mut Table, at: &str, by: Replacement) -> Result<(), String> {
+    let (law, parameters) = set_of(set)?;
     let mut past = Table::new();
-    for name in Gains::NAMES {
-        let gain = set.get(name).and_then(Item::as_value).ok_or(format!("has no {name}"))?;
-        let mut gain = gain.clone();
-        gain.decor_mut().clear();
-        past.insert(name, Item::Value(gain));
-    }
+    put_set(&mut past, &law, parameters);
     past.insert("replaced_at", toml_edit::value(at));
     past.insert("replaced_by", toml_edit::value(by.name()));
     if let Some(origin) = set.get("provenance") {
@@ -141,6 +137,37 @@ fn retire(set: &mut Table, at: &str, by: Replacement) -> Result<(), String> {
         history.remove(0);
     }
     Ok(())
+}
+
+/// The law and the parameters that a table holds, as they are written there, also in the form of earlier versions: four
+/// gains without a table of their own.
+fn set_of(set: &Table) -> Result<(String, Vec<(String, Value)>), String> {
+    let value = |name: &str, item: Option<&Item>| {
+        let value = item.and_then(Item::as_value).ok_or_else(|| format!("has no {name}"))?;
+        let mut value = value.clone();
+        value.decor_mut().clear();
+        Ok((name.to_owned(), value))
+    };
+    let Some(parameters) = set.get("parameters") else {
+        let gains = EARLIER_GAINS.into_iter().map(|name| value(name, set.get(name)));
+        return Ok(("paper".to_owned(), gains.collect::<Result<_, String>>()?));
+    };
+    let law = set.get("law").and_then(Item::as_str).ok_or("has no law")?;
+    let parameters = parameters.as_table_like().ok_or("parameters: is no table")?;
+    let named = parameters.iter().map(|(name, item)| value(name, Some(item)));
+    Ok((law.to_owned(), named.collect::<Result<_, String>>()?))
+}
+
+/// The gains that earlier versions wrote: those of the paper's law.
+const EARLIER_GAINS: [&str; 4] = ["kv", "kl", "ks", "ki"];
+
+/// Writes a law and its parameters, in the form of this version.
+fn put_set(set: &mut Table, law: &str, parameters: impl IntoIterator<Item = (String, Value)>) {
+    for name in EARLIER_GAINS {
+        set.remove(name);
+    }
+    put(set, "law", law.into());
+    put(set, "parameters", InlineTable::from_iter(parameters).into());
 }
 
 fn history_of(set: &mut Table) -> Result<&mut ArrayOfTables, String> {
@@ -265,11 +292,15 @@ mod tests {
             noise: true,
             distance: 0.1 + 0.2,
             mse_m2: 0.5,
-            grid_size: 750,
-            rank_distance: 8,
-            rank_mean_distance: Some(3),
-            mean_distance_low: Some(0.25),
-            mean_distance_high: None,
+            tuner: Some("educated-q".to_owned()),
+            objective: Some("distance".to_owned()),
+            path_mean_m: Some(0.1),
+            path_max_m: None,
+            grid_size: Some(750),
+            rank_distance: Some(8),
+            rank_mean: Some(3),
+            mean_low: Some(0.25),
+            mean_high: None,
             pathtune: "0.1.0".to_owned(),
         }
     }
@@ -278,8 +309,21 @@ mod tests {
         rest_of(text, "lane_change").unwrap().1.unwrap()
     }
 
-    fn gains(kv: f64) -> Gains {
-        Gains { kv, kl: 21.0, ks: 21.0, ki: 0.7 }
+    fn gains(kv: f64) -> NamedParameters {
+        crate::paper_law().named(&crate::Parameters::of(&[kv, 21.0, 21.0, 0.7]))
+    }
+
+    fn kv_of(set: &NamedParameters) -> f64 {
+        set.get("kv").unwrap()
+    }
+
+    fn promote(
+        text: &str,
+        maneuver: &str,
+        gains: NamedParameters,
+        provenance: &Provenance,
+    ) -> Result<String, String> {
+        super::promote(text, maneuver, "paper", &gains, provenance)
     }
 
     const FILE: &str = "# My car.\nname = 'mine' # of old\nwheelbase_m   = 3\n\n[safety]\n# Softly.\njerk_limit_mps3 = 9.0\n\n# The end.\n";
@@ -289,16 +333,17 @@ mod tests {
         let text = promote(FILE, "lane_change", gains(3.0), &provenance("a")).unwrap();
         assert!(text.starts_with(FILE), "{text}");
         let set = set_of(&text);
-        assert_eq!((set.gains(), &set.provenance), (gains(3.0), &Some(provenance("a"))));
+        assert_eq!((&set.parameters, &set.provenance), (&gains(3.0), &Some(provenance("a"))));
         assert!(set.history.is_empty());
         let other = promote(&text, "round about", gains(2.0), &provenance("b")).unwrap();
         assert!(other.starts_with(&text), "{other}");
-        let noted = text.replace("kv = 3.0", "kv = 3.0 # quick");
+        let noted = text.replace("ki = 0.7 }", "ki = 0.7 } # quick");
         let again = promote(&noted, "lane_change", gains(2.5), &provenance("b")).unwrap();
-        assert!(again.starts_with(FILE) && again.contains("kv = 2.5 # quick\n"), "{again}");
+        let line = "parameters = { kv = 2.5, kl = 21.0, ks = 21.0, ki = 0.7 } # quick\n";
+        assert!(again.starts_with(FILE) && again.contains(line), "{again}");
         let set = set_of(&again);
         assert_eq!(set.history.len(), 1);
-        assert_eq!(set.history[0].gains(), gains(3.0));
+        assert_eq!(set.history[0].parameters, gains(3.0));
         assert_eq!(set.history[0].provenance, Some(provenance("a")));
         let order = ["[gains.lane_change]", ".provenance]", "[[gains.lane_change.history]]"];
         let places = order.map(|part| again.find(part).unwrap());
@@ -320,7 +365,8 @@ mod tests {
         let once = back(&text).unwrap();
         assert_eq!(set_of(&once).provenance, Some(provenance("a")));
         let twice = back(&once).unwrap();
-        assert!(twice.starts_with(&hand), "{twice}");
+        let written = "parameters = { kv = 3.00, kl = 2_1, ks = 2.1e1, ki = 0.70 }";
+        assert!(twice.starts_with(FILE) && twice.contains(written), "{twice}");
         assert_eq!(set_of(&twice).provenance, None);
         // What was given up is remembered, but one does not fall back to it.
         assert_eq!(back(&twice), None);
@@ -356,11 +402,11 @@ mod tests {
             let old = set_of(&written);
             let text = promote(&written, "lane_change", gains(3.0), &provenance("a")).unwrap();
             let set = set_of(&text);
-            assert_eq!(set.gains(), gains(3.0));
-            assert_eq!(set.history.last().unwrap().gains(), old.gains());
+            assert_eq!(set.parameters, gains(3.0));
+            assert_eq!(set.history.last().unwrap().parameters, old.parameters);
             let place = rollback_place(&set, None).unwrap();
             let back = set_of(&rollback(&text, "lane_change", place, "x").unwrap());
-            assert_eq!((back.gains(), back.provenance), (old.gains(), None));
+            assert_eq!((back.parameters, back.provenance), (old.parameters, None));
             let bare = text.replace("\r\n", "");
             assert!(!written.contains('\r') || !bare.contains('\n'), "{text:?}");
         }
@@ -382,15 +428,16 @@ mod tests {
         }
         let set = set_of(&text);
         assert_eq!(set.history.len(), HISTORY_LIMIT);
-        assert_eq!((set.history[0].kv, set.history[19].kv, set.kv), (9.0, 28.0, 29.0));
+        let kvs = [&set.history[0].parameters, &set.history[19].parameters, &set.parameters];
+        assert_eq!(kvs.map(kv_of), [9.0, 28.0, 29.0]);
     }
 
     #[test]
     fn a_change_beyond_the_limit_is_named() {
-        let large = |old, new| large_changes(gains(old), gains(new));
+        let large = |old, new| large_changes(&gains(old), &gains(new));
         assert!(large(1.0, 1.3).is_empty() && large(1.0, 0.7).is_empty());
         assert!(large(0.0, 0.0).is_empty());
-        assert_eq!(large(1.0, 1.31), [Change { name: "kv", old: 1.0, new: 1.31 }]);
+        assert_eq!(large(1.0, 1.31), [Change { name: "kv".to_owned(), old: 1.0, new: 1.31 }]);
         assert_eq!(large(1.0, 0.69).len(), 1);
         assert_eq!(large(0.0, 0.1)[0].percent(), f64::INFINITY);
     }
@@ -423,8 +470,8 @@ mod tests {
                 }
                 prop_assert!(text.starts_with(FILE));
                 let set = set_of(&text);
-                prop_assert_eq!(Some(set.kv), now);
-                let history: Vec<f64> = set.history.iter().map(|past| past.kv).collect();
+                prop_assert_eq!(Some(kv_of(&set.parameters)), now);
+                let history: Vec<f64> = set.history.iter().map(|past| kv_of(&past.parameters)).collect();
                 prop_assert_eq!(&history, &model);
             }
         }

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{ConfigError, Grid, validate};
+use crate::law::{LawConfig, NamedParameters, Parameters, Settings, paper_law};
+use crate::{Axes, ConfigError, Grid, validate};
 
 /// Everything that decides what a run computes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -23,19 +24,29 @@ pub struct RunConfig {
     pub reference: Reference,
     /// Length and pace of a drive.
     pub drive: Drive,
-    /// Settings of the control law.
+    /// Settings that every control law shares.
     pub controller: Controller,
+    /// Name or file of the control law's preset.
+    pub law_preset: String,
+    /// The control law.
+    pub law: LawConfig,
     /// Settings of the safety gate and of the zones.
     pub supervisor: Supervisor,
     /// Noise of the odometry.
     pub noise: Noise,
     /// The road's edges, and what leaving it costs.
     pub collision: Collision,
-    /// The gain sets that can be chosen.
-    pub grid: Grid,
-    /// The learners.
+    /// What a drive is judged by.
+    pub objective: ObjectiveConfig,
+    /// The values of the grid along each of the law's parameters; see [`RunConfig::grid`].
+    pub grid: Axes,
+    /// Where a set is ranked among all of the grid.
+    pub ranking: Ranking,
+    /// The tuner.
+    pub tuner: TunerConfig,
+    /// The learners of the Q-learning tuners.
     pub learning: Learning,
-    /// How gains are chosen under noise.
+    /// How a set is chosen under noise.
     pub robust: Robust,
     /// What differs from run to run.
     pub run: Run,
@@ -61,19 +72,44 @@ impl RunConfig {
         (self.drive.loop_time_s / self.drive.tick_s).round() as u64
     }
 
+    /// The parameter sets that can be chosen.
+    pub fn grid(&self) -> Grid {
+        Grid::new(&self.law, &self.grid)
+    }
+
     /// The paper's rows that this path can be driven with: with a set for each manoeuvre of its zones, or one for
-    /// all.
-    pub fn paper_rows(&self) -> impl Iterator<Item = &PaperSet> {
+    /// all. None with another law than the paper's.
+    pub fn paper_rows(&self) -> Vec<PaperRow> {
+        let paper = paper_law();
+        if !self.law.keys().eq(paper.keys()) || self.law.name != paper.name {
+            return Vec::new();
+        }
         let due = self.maneuvers_due().len();
-        self.paper.iter().filter(move |row| row.gains.len() == 1 || row.gains.len() == due)
+        let rows = self.paper.iter().filter(|row| row.gains.len() == 1 || row.gains.len() == due);
+        rows.map(|row| PaperRow {
+            sets: row
+                .gains
+                .iter()
+                .map(|set| paper.parameters_of(set).expect("a resolved configuration was checked"))
+                .collect(),
+            mse_m2: row.mse_m2,
+            noisy_mse_m2: row.noisy_mse_m2,
+            chosen: row.chosen,
+        })
+        .collect()
     }
 
     /// The set that the paper chose for this manoeuvre, where it chose a single one.
-    pub fn paper_gains(&self) -> Option<Gains> {
-        match self.paper.iter().find(|set| set.chosen)?.gains[..] {
-            [gains] => Some(gains),
+    pub fn paper_set(&self) -> Option<Parameters> {
+        match self.paper_rows().into_iter().find(|row| row.chosen)?.sets[..] {
+            [set] => Some(set),
             _ => None,
         }
+    }
+
+    /// Whether the path is one of the user's own.
+    pub fn is_own_path(&self) -> bool {
+        self.maneuver == crate::presets::OWN_PATH
     }
 
     /// Names of the manoeuvres that the path asks for, each once, in the order in which they come first.
@@ -87,11 +123,11 @@ impl RunConfig {
         names
     }
 
-    /// The gains of each zone, from one gain set for each of [`RunConfig::maneuvers_due`], or one for all.
+    /// The parameters of each zone, from one set for each of [`RunConfig::maneuvers_due`], or one for all.
     ///
     /// # Panics
     /// If there is neither one set nor one for each manoeuvre.
-    pub fn gains_by_zone(&self, sets: &[Gains]) -> Vec<Gains> {
+    pub fn sets_by_zone(&self, sets: &[Parameters]) -> Vec<Parameters> {
         let due = self.maneuvers_due();
         assert!(sets.len() == 1 || sets.len() == due.len(), "a set for each manoeuvre");
         let set_of = |zone: &ZoneConfig| {
@@ -110,41 +146,12 @@ impl RunConfig {
     }
 }
 
-/// The four gains of the paper's control law (its equation 2).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Gains {
-    /// Linear velocity gain, 1/s.
-    pub kv: f64,
-    /// Linear gain on the cross-track error, rad/(m·s).
-    pub kl: f64,
-    /// Steering gain on the heading error, 1/s.
-    pub ks: f64,
-    /// Low-pass filter gain, without unit.
-    pub ki: f64,
-}
-
-impl Gains {
-    /// The gains in the paper's order (Kv, Kl, Ks, Ki).
-    pub fn to_array(self) -> [f64; 4] {
-        [self.kv, self.kl, self.ks, self.ki]
-    }
-
-    /// Gains from the paper's order (Kv, Kl, Ks, Ki).
-    pub fn from_array([kv, kl, ks, ki]: [f64; 4]) -> Self {
-        Self { kv, kl, ks, ki }
-    }
-
-    /// Names of the gains in the paper's order.
-    pub const NAMES: [&'static str; 4] = ["kv", "kl", "ks", "ki"];
-}
-
 /// One row of the paper's tables: gains, and what the paper read with them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PaperSet {
-    /// One gain set for each manoeuvre of the path, in the order in which they come.
-    pub gains: Vec<Gains>,
+    /// One set of the paper's law for each manoeuvre of the path, in the order in which they come.
+    pub gains: Vec<NamedParameters>,
     /// Its mse without noise.
     pub mse_m2: f64,
     /// Its worst mse of ten drives with noise.
@@ -152,6 +159,51 @@ pub struct PaperSet {
     /// Whether it is the set that the paper chose.
     #[serde(default)]
     pub chosen: bool,
+}
+
+/// A row of the paper's tables whose sets can be driven.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PaperRow {
+    /// One set for each manoeuvre of the path, or one for all.
+    pub sets: Vec<Parameters>,
+    /// Its mse without noise.
+    pub mse_m2: f64,
+    /// Its worst mse of ten drives with noise.
+    pub noisy_mse_m2: f64,
+    /// Whether it is the set that the paper chose.
+    pub chosen: bool,
+}
+
+/// What a drive is judged by: the one number that is made small.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct ObjectiveConfig {
+    pub name: String,
+    pub summary: String,
+    pub cap_wheelbases: f64,
+    /// The settings of its file in `config/objectives`.
+    #[serde(default)]
+    pub settings: Settings,
+}
+
+/// The tuner that `learning.tuner` names, as its file in `config/tuners` tells of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TunerConfig {
+    /// What it is, in one line.
+    pub summary: String,
+    /// Its own settings.
+    #[serde(default)]
+    pub settings: Settings,
+}
+
+/// Where a set is ranked among all of the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Ranking {
+    pub max_ticks: u64,
 }
 
 /// A pose in the map frame (REP-103: x forward, y left, yaw counter-clockwise).
@@ -258,7 +310,7 @@ pub struct Drive {
     pub goal_radius_m: f64,
 }
 
-/// Settings of the control law.
+/// Settings that every control law shares.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
@@ -308,16 +360,6 @@ pub struct Collision {
     pub lane_half_width_m: f64,
     pub margin_m: f64,
     pub penalty: f64,
-}
-
-/// Which learner tunes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Tuner {
-    /// The paper's: locks gains that the terminal sets agree on.
-    EducatedQ,
-    /// Plain Q-learning.
-    Q,
 }
 
 choice!(
@@ -393,12 +435,12 @@ choice!(
     }
 );
 
-/// The learners.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// The learners of the Q-learning tuners.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
 pub struct Learning {
-    pub tuner: Tuner,
+    pub tuner: String,
     pub episodes: u32,
     pub step_limit: u32,
     pub gamma: f64,
@@ -419,7 +461,7 @@ pub struct Learning {
     pub greedy_ties: GreedyTies,
 }
 
-/// How gains are chosen under noise.
+/// How a set is chosen under noise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]

@@ -1,8 +1,8 @@
-//! What a pipeline drives outside a training: a list of gain sets, written beside the configuration.
+//! What a pipeline drives outside a training: a list of parameter sets, written beside the configuration.
 
 use serde::{Deserialize, Serialize};
 
-use crate::{ConfigError, Gains};
+use crate::{ConfigError, LawConfig, NamedParameters, Parameters};
 
 /// What a pipeline drives outside a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -14,8 +14,8 @@ pub struct SweepPlan {
     pub repeats: u32,
     /// The vehicle paces by the clock: a restarted process joins the drive under way, which is never made again.
     pub realtime: bool,
-    /// Gain sets that were named, each with one set for every manoeuvre of the path, or one for all.
-    pub sets: Vec<Vec<Gains>>,
+    /// Sets that were named, each with one for every manoeuvre of the path, or one for all.
+    pub sets: Vec<Vec<NamedParameters>>,
 }
 
 /// What is made of the drives.
@@ -34,6 +34,18 @@ impl SweepPlan {
     /// Name of the file in the run's folder.
     pub const FILE: &'static str = "sweep.toml";
 
+    /// The sets as the law of a run reads them.
+    ///
+    /// # Errors
+    /// If they are not that law's parameters.
+    pub fn parameters(&self, law: &LawConfig) -> Result<Vec<Vec<Parameters>>, ConfigError> {
+        let of = |set: &NamedParameters| {
+            law.parameters_of(set)
+                .map_err(|(key, problem)| ConfigError::new(Self::FILE, key, problem))
+        };
+        self.sets.iter().map(|sets| sets.iter().map(of).collect()).collect()
+    }
+
     /// Parses what the orchestrator wrote.
     ///
     /// # Errors
@@ -44,58 +56,17 @@ impl SweepPlan {
     }
 }
 
-impl Gains {
-    /// Parses gain sets from numbers: `Kv,Kl,Ks,Ki`, and a slash before each further set.
-    ///
-    /// # Errors
-    /// If there are not four numbers a set, or one of them is no gain; says which.
-    pub fn parse_sets(text: &str) -> Result<Vec<Self>, String> {
-        text.split('/')
-            .map(|set| {
-                let numbers: Vec<&str> = set.split(',').map(str::trim).collect();
-                let [kv, kl, ks, ki] = numbers[..] else {
-                    let count = numbers.len();
-                    return Err(format!(
-                        "{set:?} holds {count} numbers, and must hold Kv,Kl,Ks,Ki"
-                    ));
-                };
-                let mut gains = [0.0; 4];
-                for (gain, number) in gains.iter_mut().zip([kv, kl, ks, ki]) {
-                    *gain = number.parse().map_err(|_| format!("{number:?} is not a number"))?;
-                }
-                let gains = Self::from_array(gains);
-                crate::check_gains(gains).map_err(|(name, problem)| format!("{name} {problem}"))?;
-                Ok(gains)
-            })
-            .collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn sets_are_parsed_or_refused_with_a_reason() {
-        let set = Gains { kv: 3.0, kl: 21.0, ks: 21.0, ki: 0.7 };
-        assert_eq!(Gains::parse_sets("3, 21,21,.7").unwrap(), [set]);
-        assert_eq!(Gains::parse_sets("3,21,21,.7/3,21,21,0.7").unwrap(), [set, set]);
-        let check = |text: &str, part: &str| {
-            let error = Gains::parse_sets(text).unwrap_err();
-            assert!(error.contains(part), "{text}: {error}");
-        };
-        check("", "1 numbers");
-        check("3,21,21", "3 numbers");
-        check("3,21,21,x", "\"x\" is not a number");
-        check("3,21,21,nan", "ki is NaN");
-        check("3,21,21,1.5", "[0, 1]");
-        check("-3,21,21,.7", "kv is -3");
-    }
-
-    #[test]
     fn a_plan_survives_its_file() {
-        let sets = vec![vec![Gains { kv: 0.1, kl: 1.0, ks: 6.0, ki: 0.7 }; 2]];
+        let law = crate::paper_law();
+        let set = Parameters::of(&[0.1, 1.0, 6.0, 0.7]);
+        let sets = vec![vec![law.named(&set); 2]];
         let plan = SweepPlan { kind: SweepKind::Validate, repeats: 10, realtime: false, sets };
-        assert_eq!(SweepPlan::parse(&toml::to_string(&plan).unwrap()).unwrap(), plan);
+        let again = SweepPlan::parse(&toml::to_string(&plan).unwrap()).unwrap();
+        assert_eq!(again.parameters(&law).unwrap(), [[set; 2]]);
     }
 }

@@ -1,6 +1,6 @@
 //! Ranges, and what must fit together.
 
-use crate::{Advance, Axis, Piece, RunConfig, Vehicle, VehicleModel, points};
+use crate::{Advance, Axis, Grid, Piece, RunConfig, Scale, Vehicle, VehicleModel, law, points};
 
 /// The largest fleet that one message carries.
 pub(crate) const MAX_FLEET: u32 = 256;
@@ -42,6 +42,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     whole("robust.repeats", c.robust.repeats.into(), 2, 1000)?;
     whole("robust.holdout", c.robust.holdout.into(), 1, 10_000)?;
     path(c)?;
+    presets(c)?;
     grid(c)?;
     learning(c)?;
     run(c)?;
@@ -55,23 +56,12 @@ fn paper(config: &RunConfig) -> Result<(), Problem> {
             return Err((key, "is empty; give a set for each manoeuvre of the path".to_owned()));
         }
         for (index, gains) in set.gains.iter().enumerate() {
-            crate::check_gains(*gains)
+            law::paper_law()
+                .parameters_of(gains)
                 .map_err(|(name, problem)| (format!("{key}[{index}].{name}"), problem))?;
         }
         above(&format!("paper[{row}].mse_m2"), set.mse_m2, 0.0, 1e9)?;
         above(&format!("paper[{row}].noisy_mse_m2"), set.noisy_mse_m2, 0.0, 1e9)?;
-    }
-    Ok(())
-}
-
-/// Whether these are gains that can be driven; else the name of the first that is not, and why.
-///
-/// # Errors
-/// If a gain is not finite, negative or enormous, or Ki lies above 1, where the law's filter is unstable.
-pub fn check_gains(gains: crate::Gains) -> Result<(), (&'static str, String)> {
-    for (name, gain) in crate::Gains::NAMES.into_iter().zip(gains.to_array()) {
-        let most = if name == "ki" { 1.0 } else { 1e6 };
-        within(name, gain, 0.0, most).map_err(|(_, problem)| (name, problem))?;
     }
     Ok(())
 }
@@ -127,30 +117,61 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
 }
 
 fn grid(config: &RunConfig) -> Result<(), Problem> {
-    let grid = &config.grid;
-    for (name, axis) in ["kv", "kl", "ks", "ki"].into_iter().zip(grid.axes()) {
-        let Axis { min, max, step } = axis;
-        let key = format!("grid.{name}");
-        within(&format!("{key}.min"), min, 0.0, 1e6)?;
-        within(&format!("{key}.max"), max, 0.0, 1e6)?;
-        above(&format!("{key}.step"), step, 0.0, 1e6)?;
+    for parameter in &config.law.parameters {
+        let key = format!("grid.{}", parameter.key);
+        let Some(Axis { min, max, step }) = config.grid.get(&parameter.key).copied() else {
+            return Err((key, "is missing; give min, max and step".to_owned()));
+        };
+        within(&format!("{key}.min"), min, parameter.min, parameter.max)?;
+        within(&format!("{key}.max"), max, parameter.min, parameter.max)?;
         if max < min {
             return Err((key, format!("is reversed: min {min} lies above max {max}")));
         }
-        if (max - min) / step > 1e4 {
+        let steps = match parameter.scale {
+            Scale::Linear => {
+                above(&format!("{key}.step"), step, 0.0, 1e9)?;
+                (max - min) / step
+            }
+            Scale::Log => {
+                above(&format!("{key}.step"), step, 1.0, 1e9)?;
+                libm::log(max / min) / libm::log(step)
+            }
+        };
+        if steps > 1e4 {
             return Err((key, "holds more than 10000 values; take a larger step".to_owned()));
         }
-        if name == "ki" && max > 1.0 {
-            let problem = "lies above 1, where the law's filter is unstable".to_owned();
-            return Err((format!("{key}.max"), problem));
-        }
     }
+    let known = |key: &String| config.law.keys().any(|it| it == key);
+    if let Some(key) = config.grid.keys().find(|key| !known(key)) {
+        let keys: Vec<&str> = config.law.keys().collect();
+        let problem =
+            format!("is no parameter of the law {}; it has {}", config.law.name, keys.join(", "));
+        return Err((format!("grid.{key}"), problem));
+    }
+    let grid = Grid::new(&config.law, &config.grid);
     let sets = grid.axes().iter().map(|axis| axis.len() as f64).product::<f64>();
     if sets > MAX_GRID as f64 {
         let problem = format!("holds {sets} sets, and may hold {MAX_GRID}; take larger steps");
         return Err(("grid".to_owned(), problem));
     }
     Ok(())
+}
+
+/// Names that must be those of a preset, and what belongs to them.
+fn presets(config: &RunConfig) -> Result<(), Problem> {
+    for (key, folder, name) in [
+        ("law.name", "laws", &config.law.name),
+        ("learning.tuner", "tuners", &config.learning.tuner),
+        ("objective.name", "objectives", &config.objective.name),
+    ] {
+        let known: Vec<&str> = crate::names_in(folder).collect();
+        if !known.contains(&name.as_str()) {
+            let hint = crate::presets::hint(name, &known);
+            return Err((key.to_owned(), format!("is {name:?}, which is unknown; {hint}")));
+        }
+    }
+    law::validate(&config.law)?;
+    within("objective.cap_wheelbases", config.objective.cap_wheelbases, 0.0, 1000.0)
 }
 
 fn learning(config: &RunConfig) -> Result<(), Problem> {
