@@ -1,10 +1,13 @@
-//! The paper's control law, and the process that applies it.
+//! The control laws, and the process that applies one.
 //!
-//! `law` and `drive` are pure; [`service`] joins them to the pipeline.
+//! [`laws`] and `drive` are pure; [`service`] joins them to the pipeline.
 
 mod drive;
-mod law;
+pub mod laws;
+#[cfg(feature = "process")]
 pub mod service;
+mod sight;
 
-pub use drive::{Decision, DriveController, Ended, Seen};
-pub use law::{ControlLaw, RawCommand};
+pub use drive::{Decision, DriveController, Seen};
+pub use laws::{ControlLaw, LawState, RawCommand};
+pub use sight::Sight;

@@ -2,10 +2,12 @@
 //!
 //! `vehicle` and `lateral` are pure; [`service`] joins it to the pipeline.
 
+#[cfg(feature = "process")]
 mod clocked;
 mod lateral;
 mod noise;
 mod road;
+#[cfg(feature = "process")]
 pub mod service;
 mod vehicle;
 

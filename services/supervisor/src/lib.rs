@@ -7,6 +7,7 @@ mod gate;
 mod governor;
 mod guard;
 mod plausibility;
+#[cfg(feature = "process")]
 pub mod service;
 mod watch;
 

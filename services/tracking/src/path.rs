@@ -34,12 +34,62 @@ struct Segment {
     cos: f64,
     /// 1/m, positive to the left; 0 on a straight.
     curvature: f64,
+    /// Where it ends.
+    end: (f64, f64),
+    /// The centre of an arc's circle.
+    centre: (f64, f64),
 }
 
 impl Segment {
     fn new(from_m: f64, length_m: f64, start: Pose, curvature: f64) -> Self {
         let (sin, cos) = (libm::sin(start.yaw_rad), libm::cos(start.yaw_rad));
-        Self { from_m, length_m, start, sin, cos, curvature }
+        let mut segment = Self {
+            from_m,
+            length_m,
+            start,
+            sin,
+            cos,
+            curvature,
+            end: (0.0, 0.0),
+            centre: (0.0, 0.0),
+        };
+        let end = segment.at(length_m);
+        segment.end = (end.x_m, end.y_m);
+        if curvature != 0.0 {
+            segment.centre = (start.x_m - sin / curvature, start.y_m + cos / curvature);
+        }
+        segment
+    }
+
+    /// Square of the distance from (x, y) to the nearest point of the segment. Without an angle: this is asked for in
+    /// every tick of every drive.
+    #[inline]
+    fn apart_squared(&self, x_m: f64, y_m: f64) -> f64 {
+        let (dx, dy) = (x_m - self.start.x_m, y_m - self.start.y_m);
+        if self.curvature == 0.0 {
+            let ahead_m = dx * self.cos + dy * self.sin;
+            let beyond_m = ahead_m - ahead_m.clamp(0.0, self.length_m);
+            let aside_m = dy * self.cos - dx * self.sin;
+            return beyond_m * beyond_m + aside_m * aside_m;
+        }
+        // From the centre: to the position, to the start, to the end.
+        let (px, py) = (x_m - self.centre.0, y_m - self.centre.1);
+        let (sx, sy) = (self.start.x_m - self.centre.0, self.start.y_m - self.centre.1);
+        let (ex, ey) = (self.end.0 - self.centre.0, self.end.1 - self.centre.1);
+        let side = self.curvature.signum();
+        let (behind_start, before_end) = (side * (sx * py - sy * px), side * (px * ey - py * ex));
+        let turn_rad = self.length_m * self.curvature.abs();
+        let is_beside = if turn_rad <= std::f64::consts::PI {
+            behind_start >= 0.0 && before_end >= 0.0
+        } else {
+            behind_start >= 0.0 || before_end >= 0.0
+        };
+        if is_beside {
+            let off_m = (px * px + py * py).sqrt() - 1.0 / self.curvature.abs();
+            return off_m * off_m;
+        }
+        let (ux, uy) = (x_m - self.end.0, y_m - self.end.1);
+        (dx * dx + dy * dy).min(ux * ux + uy * uy)
     }
 
     /// The pose `ahead_m` behind the segment's start, also beyond its end.
@@ -151,6 +201,12 @@ impl Path {
         std::iter::once(0.0).chain(ends)
     }
 
+    /// Curvature at a distance along the path, 1/m, positive to the left; at a joint that of the later segment.
+    pub fn curvature(&self, along_m: f64) -> f64 {
+        let after = self.segments.partition_point(|segment| segment.from_m <= along_m);
+        self.segments[after.saturating_sub(1)].curvature
+    }
+
     /// The pose at a distance along the path, held at its ends. At a joint the later segment counts.
     pub fn at(&self, along_m: f64) -> Pose {
         let after = self.segments.partition_point(|segment| segment.from_m <= along_m);
@@ -192,6 +248,76 @@ impl Path {
             let along_m = near_m.clamp(0.0, self.length_m());
             PathPoint { along_m, offset_m: 0.0, pose: self.at(along_m) }
         })
+    }
+}
+
+/// Follows a position along a path: where it is nearest, from tick to tick.
+///
+/// The nearest point is looked for around the last one, so that a path which meets itself is told apart by where the
+/// vehicle was.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PathFollower {
+    /// The segment of the nearest point.
+    segment: usize,
+}
+
+impl PathFollower {
+    /// How far beyond the ends of its segment the nearest point is looked for: many ticks of any speed.
+    const WINDOW_M: f64 = 1.0;
+
+    /// Near a place along the path.
+    pub fn new(path: &Path, along_m: f64) -> Self {
+        let after = path.segments.partition_point(|segment| segment.from_m <= along_m);
+        Self { segment: after.saturating_sub(1) }
+    }
+
+    /// Moves on to a position; returns its distance from the path.
+    #[inline]
+    pub fn distance_m(&mut self, path: &Path, x_m: f64, y_m: f64) -> f64 {
+        let segments = &*path.segments;
+        let mut best = segments[self.segment].apart_squared(x_m, y_m);
+        loop {
+            let from = self.segment;
+            let apart_m = best.sqrt();
+            let here = &segments[from];
+            let (low_m, high_m) =
+                (here.from_m - Self::WINDOW_M, here.from_m + here.length_m + Self::WINDOW_M);
+            // Whoever is as near to a joint as this may be nearest to a point beyond it.
+            let is_near = |(joint_x_m, joint_y_m): (f64, f64), apart_m: f64| {
+                let (dx, dy) = (x_m - joint_x_m, y_m - joint_y_m);
+                let reach_m = apart_m + Self::WINDOW_M;
+                dx * dx + dy * dy <= reach_m * reach_m
+            };
+            for (index, next) in segments.iter().enumerate().skip(from + 1) {
+                let joint = (next.start.x_m, next.start.y_m);
+                if next.from_m > high_m || !is_near(joint, apart_m) {
+                    break;
+                }
+                let apart = next.apart_squared(x_m, y_m);
+                // The far end of a long arc may come back to the joint.
+                if apart < best && is_near(joint, apart.sqrt()) {
+                    (best, self.segment) = (apart, index);
+                }
+            }
+            for (index, last) in segments[..from].iter().enumerate().rev() {
+                if last.from_m + last.length_m < low_m || !is_near(last.end, apart_m) {
+                    break;
+                }
+                let apart = last.apart_squared(x_m, y_m);
+                if apart < best && is_near(last.end, apart.sqrt()) {
+                    (best, self.segment) = (apart, index);
+                }
+            }
+            if self.segment == from {
+                return apart_m;
+            }
+        }
+    }
+
+    /// Distance along the path of its point nearest to a position, in the segment that it has come to.
+    pub fn along_m(&self, path: &Path, x_m: f64, y_m: f64) -> f64 {
+        let segment = &path.segments[self.segment];
+        segment.from_m + segment.nearest(x_m, y_m)
     }
 }
 
@@ -417,6 +543,28 @@ mod tests {
                 let (dx, dy) = (x_m - point.pose.x_m, y_m - point.pose.y_m);
                 prop_assert!(libm::hypot(dx, dy) < 1e-2);
                 near_m = point.along_m;
+            }
+        }
+
+        #[test]
+        fn a_follower_finds_the_nearest_point_that_a_projection_finds(
+            steps in prop::collection::vec((0.0..0.4f64, -1.0..1.0f64), 1..200),
+        ) {
+            for path in [path(MIXED), path("[{kind='straight',length_m=4.0},{kind='arc',radius_m=18.0,angle_deg=-350.0}]")] {
+                let (mut follower, mut along_m) = (PathFollower::default(), 0.0);
+                for (step_m, offset_m) in &steps {
+                    along_m = f64::min(along_m + step_m, path.length_m());
+                    let pose = path.at(along_m);
+                    let x_m = pose.x_m - offset_m * libm::sin(pose.yaw_rad);
+                    let y_m = pose.y_m + offset_m * libm::cos(pose.yaw_rad);
+                    let found = path.project(x_m, y_m, along_m, 3.0);
+                    let wanted_m = libm::hypot(x_m - found.pose.x_m, y_m - found.pose.y_m);
+                    let apart_m = follower.distance_m(&path, x_m, y_m);
+                    prop_assert!((apart_m - wanted_m).abs() < 1e-7, "{apart_m} {wanted_m} at {along_m}");
+                    let here = path.at(follower.along_m(&path, x_m, y_m));
+                    let there_m = libm::hypot(x_m - here.x_m, y_m - here.y_m);
+                    prop_assert!((there_m - apart_m).abs() < 1e-7);
+                }
             }
         }
 

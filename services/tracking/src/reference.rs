@@ -71,6 +71,16 @@ impl Timetable {
         last.time_s + 2.0 * apart_m / (last.speed_mps + root_mps)
     }
 
+    /// Speed at a place, which changes evenly in time between two points.
+    fn speed_mps(&self, along_m: f64) -> f64 {
+        let behind = self.rows.partition_point(|row| row.along_m <= along_m);
+        let last = self.rows[behind.saturating_sub(1)];
+        let Some(next) = self.rows.get(behind) else { return last.speed_mps };
+        let share = (along_m - last.along_m) / (next.along_m - last.along_m);
+        let (from, to) = (last.speed_mps * last.speed_mps, next.speed_mps * next.speed_mps);
+        (from + share * (to - from)).max(0.0).sqrt()
+    }
+
     /// Distance run after a time, held at the end.
     fn along_m(&self, time_s: f64) -> f64 {
         let behind = self.rows.partition_point(|row| row.time_s <= time_s);
@@ -152,6 +162,35 @@ impl Reference {
         self.along_m.min(self.plan.path.length_m())
     }
 
+    /// The path itself.
+    pub fn path(&self) -> &Path {
+        &self.plan.path
+    }
+
+    /// The place of the reference pose along the path, held at its end.
+    pub fn pose_along_m(&self) -> f64 {
+        (self.along_m + self.ahead_m()).min(self.plan.path.length_m())
+    }
+
+    /// How far the reference pose lies ahead of the progress: only with [`Advance::Projection`].
+    fn ahead_m(&self) -> f64 {
+        if self.plan.advance == Advance::Projection { self.plan.lookahead_m } else { 0.0 }
+    }
+
+    /// The reference's speed at `tick` of its clock; 0 once it has come to the end of the path.
+    pub fn speed_mps(&self, tick: u64) -> f64 {
+        let Plan { timetable, speed_mps, ramp_s, tick_s, advance, .. } = &*self.plan;
+        if *advance == Advance::Projection {
+            return *speed_mps;
+        }
+        if self.at_end() {
+            return 0.0;
+        }
+        let time_s = tick as f64 * tick_s;
+        let share = if time_s < *ramp_s { time_s / ramp_s } else { 1.0 };
+        share * timetable.as_ref().map_or(*speed_mps, |table| table.speed_mps(self.along_m))
+    }
+
     /// Pose of the path's end.
     pub fn end(&self) -> Pose {
         self.plan.end
@@ -159,9 +198,7 @@ impl Reference {
 
     /// Whether the reference has reached the end of the path.
     pub fn at_end(&self) -> bool {
-        let ahead_m =
-            if self.plan.advance == Advance::Projection { self.plan.lookahead_m } else { 0.0 };
-        self.along_m + ahead_m >= self.plan.path.length_m()
+        self.along_m + self.ahead_m() >= self.plan.path.length_m()
     }
 
     /// Place along the path after a time: a linear ramp from rest, then the set speed, or the path's own.
@@ -241,6 +278,8 @@ mod tests {
                         (speed_mps - wanted_mps).abs() < 0.02,
                         "{tick}: {speed_mps} {wanted_mps}"
                     );
+                    let told_mps = reference.speed_mps(tick);
+                    assert!((told_mps - speed_mps).abs() < 0.03, "{tick}: {told_mps} {speed_mps}");
                 }
                 ended |= reference.at_end();
                 last_m = along_m;
