@@ -6,10 +6,14 @@ use std::time::Duration;
 use clap::Parser;
 use clap::error::ErrorKind;
 use monitor::MonitorError;
+use orchestrator::bench::{self, bench};
 use orchestrator::cli::{
     Cli, Command, HopArg, MonitorArgs, RecordArgs, ReplayArgs, ServiceCommand,
 };
-use orchestrator::{Ended, Failure, LivingRun};
+use orchestrator::commands::{self, LivingRun};
+use orchestrator::conformance::conformance;
+use orchestrator::runs::{Ended, name_files};
+use orchestrator::words::{Failure, print_failure, print_line, print_usage_error};
 use runtime::clock::now_ns;
 use runtime::ring::Hop;
 
@@ -27,21 +31,21 @@ fn main() -> ExitCode {
                     ExitCode::from(64)
                 }
                 _ => {
-                    orchestrator::print_usage_error(&error);
+                    print_usage_error(&error);
                     ExitCode::from(64)
                 }
             };
         }
     };
     let result = match cli.command {
-        Command::Train(args) => orchestrator::train(&args).and_then(draw),
-        Command::Validate(args) => orchestrator::validate(&args).and_then(draw),
-        Command::Drive(args) => orchestrator::drive(&args).and_then(draw),
-        Command::Rearm { run, vehicle } => orchestrator::rearm(run.as_deref(), vehicle),
-        Command::Grid(args) => orchestrator::grid(&args).and_then(draw),
+        Command::Train(args) => commands::train(&args).and_then(draw),
+        Command::Validate(args) => commands::validate(&args).and_then(draw),
+        Command::Drive(args) => commands::drive(&args).and_then(draw),
+        Command::Rearm { run, vehicle } => commands::rearm(run.as_deref(), vehicle),
+        Command::Grid(args) => commands::grid(&args).and_then(draw),
         Command::Report { run } => report::write_report(&run)
             .map_err(|why| Failure::User(why.to_string()))
-            .and_then(|page| orchestrator::print_line(&page.display().to_string())),
+            .and_then(|page| print_line(&page.display().to_string())),
         Command::Record(args) => record(&args),
         Command::Replay(args) => match replay(&args) {
             Ok(true) => Ok(()),
@@ -49,24 +53,24 @@ fn main() -> ExitCode {
             Ok(false) => return ExitCode::from(1),
             Err(failure) => Err(failure),
         },
-        Command::Bench(args) => orchestrator::bench(&args),
+        Command::Bench(args) => bench(&args),
         Command::Monitor(args) => look(args),
-        Command::Status { json } => orchestrator::status(json),
-        Command::Stop { run } => orchestrator::stop(run.as_deref()),
+        Command::Status { json } => commands::status(json),
+        Command::Stop { run } => commands::stop(run.as_deref()),
         Command::Logs { run, process, lines } => {
-            orchestrator::logs(run.as_deref(), process.as_deref(), lines)
+            commands::logs(run.as_deref(), process.as_deref(), lines)
         }
-        Command::Clean { dry_run } => orchestrator::clean(dry_run),
-        Command::Doctor { json } => orchestrator::doctor(json),
-        Command::Config(command) => orchestrator::show_config(&command),
-        Command::Conformance(args) => match orchestrator::conformance(&args) {
+        Command::Clean { dry_run } => commands::clean(dry_run),
+        Command::Doctor { json } => commands::doctor(json),
+        Command::Config(command) => commands::show_config(&command),
+        Command::Conformance(args) => match conformance(&args) {
             Ok(true) => Ok(()),
             // What failed is printed already.
             Ok(false) => return ExitCode::from(1),
             Err(failure) => Err(failure),
         },
-        Command::Schema(args) => orchestrator::print_schema(&args),
-        Command::Gains(command) => orchestrator::gains(&command),
+        Command::Schema(args) => commands::print_schema(&args),
+        Command::Gains(command) => commands::gains(&command),
         Command::Service { service } => {
             serve(service).map_err(|error| match error.downcast::<ros2_vehicle::Refused>() {
                 Ok(refused) => Failure::User(refused.to_string()),
@@ -77,7 +81,7 @@ fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            orchestrator::print_failure(&failure);
+            print_failure(&failure);
             ExitCode::from(failure.code())
         }
     }
@@ -86,13 +90,13 @@ fn main() -> ExitCode {
 /// Draws the report of a run that has just ended, and names it.
 fn draw(ended: Ended) -> Result<(), Failure> {
     let report = report::write_report(&ended.folder).map_err(|why| why.to_string());
-    orchestrator::name_files(&ended, report)
+    name_files(&ended, report)
 }
 
 /// Looks into a living run.
 fn look(args: MonitorArgs) -> Result<(), Failure> {
     let MonitorArgs { run, vehicle, json, csv, duration, once, budget, prometheus } = args;
-    let LivingRun { names, folder } = orchestrator::living_run(run.as_deref())?;
+    let LivingRun { names, folder } = commands::living_run(run.as_deref())?;
     let options =
         monitor::Options { names, folder, vehicle, json, csv, duration, once, budget, prometheus };
     monitor::run(&options).map_err(|error| match error {
@@ -103,7 +107,7 @@ fn look(args: MonitorArgs) -> Result<(), Failure> {
 
 /// Records a living run from another terminal.
 fn record(args: &RecordArgs) -> Result<(), Failure> {
-    let run = orchestrator::living_run(args.run.as_deref())?;
+    let run = commands::living_run(args.run.as_deref())?;
     if let Some(out) = args.out.as_deref().filter(|out| out.exists()) {
         return Err(Failure::User(format!("--out {}: is there already", out.display())));
     }
@@ -123,14 +127,14 @@ fn record(args: &RecordArgs) -> Result<(), Failure> {
     if !summary.behind.is_zero() {
         eprintln!("pathtune: could not keep up for {:.1} s", summary.behind.as_secs_f64());
     }
-    orchestrator::print_line(&summary.file.display().to_string())
+    print_line(&summary.file.display().to_string())
 }
 
 /// Replays a recording; whether nothing differed.
 fn replay(args: &ReplayArgs) -> Result<bool, Failure> {
     let user = |why: String| Failure::User(why);
     let recorded = replayer::check(&args.file).map_err(|why| user(format!("{why:#}")))?;
-    let config = orchestrator::replay_config(args, &recorded)?;
+    let config = commands::replay_config(args, &recorded)?;
     let tick_s = config.drive.tick_s;
     let by_zone = match &args.gains {
         None => Vec::new(),
@@ -154,16 +158,16 @@ fn replay(args: &ReplayArgs) -> Result<bool, Failure> {
         speed: if args.realtime { Some(1.0) } else { args.speed },
     };
     let text = toml::to_string(&order).map_err(anyhow::Error::from)?;
-    let outcome = orchestrator::replay(config, replayer::Order::FILE, &text)?;
+    let outcome = commands::replay(config, replayer::Order::FILE, &text)?;
     let outcome: replayer::reviewer::Outcome =
         serde_json::from_value(outcome).map_err(anyhow::Error::from)?;
     let replayer::reviewer::Outcome { compared, batches, difference } = outcome;
     let Some(it) = difference else {
         let drives = if batches == 1 { "batch" } else { "batches" };
         let line = format!("no difference: {compared} ticks of {batches} {drives} compared");
-        return orchestrator::print_line(&line).map(|()| true);
+        return print_line(&line).map(|()| true);
     };
-    orchestrator::print_line(&format!(
+    print_line(&format!(
         "first difference: batch {}, tick {}, slot {}, {}.{}: recorded {}, replayed {}",
         it.batch, it.tick, it.slot, it.topic, it.field, it.recorded, it.replayed
     ))
@@ -191,15 +195,15 @@ fn serve(service: ServiceCommand) -> anyhow::Result<()> {
             runtime::chaos::wake_later(pid, Duration::from_millis(after_ms));
             Ok(())
         }
-        ServiceCommand::Exec { words } => Err(orchestrator::process::exec(&words)),
+        ServiceCommand::Exec { words } => Err(orchestrator::pipeline::process::exec(&words)),
     }
 }
 
 /// Times plain calls over the grid that the benchmark's pipelines drive, and prints nanoseconds a tick: mean, and over
 /// the drives median and 99th percentile. Like a ring, to standard error.
 fn time_calls() -> anyhow::Result<()> {
-    let mut layers = config::Layers::maneuver(orchestrator::bench::MANEUVER)?;
-    for setting in orchestrator::bench::spread(512)? {
+    let mut layers = config::Layers::maneuver(bench::MANEUVER)?;
+    for setting in bench::spread(512)? {
         layers.set(&setting)?;
     }
     let config = layers.resolve()?;

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use anyhow::Result;
 use ipc_types::{
-    BatchHeader, Command, Credit, DriveRequest, Odometry, TickHeader, WakeRole, WirePose, has,
+    Attempt, BatchHeader, Command, Credit, DriveRequest, Odometry, TickHeader, WakeRole, WirePose,
+    has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
@@ -204,7 +205,7 @@ impl Broken {
     }
 
     fn start(&mut self, of: BatchHeader, requests: &[DriveRequest]) -> Result<()> {
-        if self.is("same batch") && of.batch == self.header.batch {
+        if self.is("same batch") && of.attempt.batch == self.header.attempt.batch {
             return Ok(());
         }
         self.batches += 1;
@@ -229,8 +230,8 @@ impl Broken {
             .into_iter()
             .filter(|(source, _)| has(flags, *source) && !self.is("no credit"))
             .collect();
-        let BatchHeader { batch, attempt, .. } = of;
-        self.header = TickHeader { run: self.run, batch, attempt, ..TickHeader::default() };
+        let attempt = Attempt { run: self.run, ..of.attempt };
+        self.header = TickHeader { attempt, ..TickHeader::default() };
         self.publish()
     }
 
@@ -245,8 +246,8 @@ impl Broken {
         }
         self.header.odometry_sent_ns = if self.is("stamp") { 1 } else { now_ns() };
         let mut header = self.header;
-        header.attempt += u32::from(self.is("attempt"));
-        header.batch += u64::from(self.is("batch"));
+        header.attempt.attempt += u32::from(self.is("attempt"));
+        header.attempt.batch += u64::from(self.is("batch"));
         let slots = &self.slots;
         let short = usize::from(self.fault == "one short" && slots.len() > 1);
         self.odometry.send(header, slots.len() - short, |index| slots[index].1)?;
@@ -287,9 +288,10 @@ impl Broken {
 
     fn hear(&mut self, header: TickHeader, commands: &[Command]) -> Result<()> {
         let ours = self.header;
-        let fits = (self.is("any run") || header.run == ours.run)
-            && (self.is("any batch") || header.batch == ours.batch)
-            && (self.is("any attempt") || header.attempt == ours.attempt)
+        let (named, of) = (header.attempt, ours.attempt);
+        let fits = (self.is("any run") || named.run == of.run)
+            && (self.is("any batch") || named.batch == of.batch)
+            && (self.is("any attempt") || named.attempt == of.attempt)
             && (self.is("stale") || header.tick == ours.tick)
             && (self.is("any length") || commands.len() == self.slots.len());
         if !(fits && self.waits) {
@@ -337,8 +339,7 @@ impl Broken {
         let mut heard = false;
         while let Some(credit) = self.credits.receive()? {
             heard = true;
-            let header = credit.header();
-            let ours = (header.batch, header.attempt) == (self.header.batch, self.header.attempt);
+            let ours = credit.header().attempt == self.header.attempt;
             for (source, ticks) in &mut self.allowed {
                 let credit = credit.items()[0];
                 if self.fault == "any credit" || (ours && *source == credit.source) {

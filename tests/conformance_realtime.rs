@@ -5,7 +5,8 @@ mod support;
 use anyhow::Result;
 use config::RunConfig;
 use ipc_types::{
-    BatchHeader, Command, DriveRequest, Odometry, Status, TickHeader, WakeRole, WirePose, has,
+    Attempt, BatchHeader, Command, DriveRequest, Odometry, Status, TickHeader, WakeRole, WirePose,
+    has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
@@ -97,8 +98,8 @@ impl Broken {
             |request: &DriveRequest| Odometry { measured: request.start, ..Odometry::default() };
         self.cars = requests.iter().map(car).collect();
         (self.command, self.heard, self.sticks) = (Command::default(), (0, 0), false);
-        let BatchHeader { run, batch, attempt, sent_ns, .. } = of;
-        self.header = TickHeader { run, batch, attempt, ..TickHeader::default() };
+        let BatchHeader { attempt, sent_ns, .. } = of;
+        self.header = TickHeader { attempt, ..TickHeader::default() };
         self.zero_ns = now_ns();
         if std::mem::take(&mut self.is_restarted) && !self.is("begins anew") {
             self.zero_ns = sent_ns;
@@ -120,8 +121,8 @@ impl Broken {
 
     fn hear(&mut self, header: TickHeader, commands: &[Command]) {
         let ours = self.header;
-        let fits = (header.run == self.run || self.is("any run"))
-            && (header.batch, header.attempt) == (ours.batch, ours.attempt)
+        let of = if self.is("any run") { header.attempt.run } else { self.run };
+        let fits = header.attempt == Attempt { run: of, ..ours.attempt }
             && header.tick >= self.heard.0
             && commands.len() == self.cars.len();
         if !fits {

@@ -165,12 +165,12 @@ impl Vehicle {
         let mut header = self.header;
         let mut len = self.fleet.len();
         match self.sent % 7 {
-            0 => header.run ^= 1,
-            1 => header.batch = header.batch.wrapping_sub(1),
-            2 => header.attempt = 0,
+            0 => header.attempt.run ^= 1,
+            1 => header.attempt.batch = header.attempt.batch.wrapping_sub(1),
+            2 => header.attempt.attempt = 0,
             3 => header.tick = u64::MAX,
             4 => header.tick = header.tick.wrapping_sub(1),
-            5 => header.batch += 1,
+            5 => header.attempt.batch += 1,
             _ => len = 1 + usize::from(len == 1),
         }
         let pose = WirePose { x_m: f64::NAN, y_m: f64::INFINITY, yaw_rad: -f64::NAN };
@@ -218,17 +218,12 @@ impl Service for Vehicle {
                     vehicle
                 })
                 .collect();
-            self.header = TickHeader {
-                run: header.run,
-                batch: header.batch,
-                attempt: header.attempt,
-                ..TickHeader::default()
-            };
+            self.header = TickHeader { attempt: header.attempt, ..TickHeader::default() };
             self.publish()?;
             return Ok(true);
         }
         let Some(commands) = self.commands.receive()? else { return Ok(false) };
-        let of = |header: TickHeader| (header.batch, header.attempt, header.tick);
+        let of = |header: TickHeader| (header.attempt, header.tick);
         if of(commands.header()) != of(self.header) {
             return Ok(true);
         }

@@ -406,17 +406,12 @@ impl Service for Vehicle {
                 vehicle
             };
             self.fleet = request.items().iter().map(reset).collect();
-            self.header = TickHeader {
-                run: header.run,
-                batch: header.batch,
-                attempt: header.attempt,
-                ..TickHeader::default()
-            };
+            self.header = TickHeader { attempt: header.attempt, ..TickHeader::default() };
             self.publish()?;
             return Ok(true);
         }
         let Some(commands) = self.commands.receive()? else { return Ok(false) };
-        let of = |header: TickHeader| (header.batch, header.attempt, header.tick);
+        let of = |header: TickHeader| (header.attempt, header.tick);
         let has_ended = |command: &DriveCommand| command.flags & DriveCommand::ENDED != 0;
         if of(commands.header()) != of(self.header) || commands.items().iter().all(has_ended) {
             return Ok(true);

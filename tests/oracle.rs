@@ -14,8 +14,8 @@ use anyhow::{Result, ensure};
 use config::{Gains, RunConfig};
 use ipc_types::topics::OBSERVER_BUFFER;
 use ipc_types::{
-    BatchHeader, Command, DriveOutcome, DriveReport, DriveRequest, Odometry, Proposal, RawCommand,
-    WakeRole, WirePose,
+    Attempt, BatchHeader, Command, DriveOutcome, DriveReport, DriveRequest, Odometry, Proposal,
+    RawCommand, WakeRole, WirePose,
 };
 use rollout::{Rollout, TickRecord};
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
@@ -101,7 +101,8 @@ impl Comparer {
     }
 
     fn propose(&mut self) -> Result<()> {
-        let header = BatchHeader { run: self.run, ..BatchHeader::default() };
+        let attempt = Attempt::between_batches(self.run);
+        let header = BatchHeader { attempt, ..BatchHeader::default() };
         let rest = SETS - self.compared;
         if rest == 0 {
             fs::write(self.folder.join("compared"), format!("{SETS} sets"))?;
@@ -112,17 +113,14 @@ impl Comparer {
         }
         let (sets, compared, ticks) = (&self.sets, self.compared, self.config.ticks());
         let noise = self.config.noise.enabled;
-        self.proposals.send(header, rest.min(self.config.fleet()), |slot| {
-            let Gains { kv, kl, ks, ki } = sets[compared + slot];
-            Proposal {
-                gains: ipc_types::Gains { kv, kl, ks, ki },
-                seed: (compared + slot) as u64,
-                ticks,
-                learner: slot as u32,
-                step: compared as u32,
-                flags: if noise { DriveRequest::NOISE } else { 0 },
-                reserved: 0,
-            }
+        self.proposals.send(header, rest.min(self.config.fleet()), |slot| Proposal {
+            parameters: sets[compared + slot].to_parameters(),
+            seed: (compared + slot) as u64,
+            ticks,
+            learner: slot as u32,
+            step: compared as u32,
+            flags: if noise { DriveRequest::NOISE } else { 0 },
+            plant: 0,
         })?;
         Ok(())
     }

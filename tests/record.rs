@@ -44,7 +44,7 @@ fn ticks_by_batch(recording: &Recording) -> Vec<(u64, u64)> {
     all::<BatchHeader, DriveReport>(recording, "drive_report")
         .iter()
         .map(|(header, reports)| {
-            (header.batch, reports.iter().map(|report| report.ticks).max().unwrap())
+            (header.attempt.batch, reports.iter().map(|report| report.ticks).max().unwrap())
         })
         .collect()
 }
@@ -63,7 +63,7 @@ fn assert_whole(recording: &Recording) {
             batches.iter().flat_map(|(batch, ticks)| (0..*ticks).map(move |it| (*batch, it)));
         for message in recording.of(topic) {
             let header = TickHeader::take(&mut &message.data[..]).unwrap();
-            assert_eq!(Some((header.batch, header.tick)), due.next(), "{topic}");
+            assert_eq!(Some((header.attempt.batch, header.tick)), due.next(), "{topic}");
         }
     }
 }
@@ -103,7 +103,7 @@ fn compare_with_rollout(recording: &Recording, config: &RunConfig, sets: &[Gains
         );
         for record in &records {
             let ((head, seen), (_, passed)) = (&odometry[at], &commands[at]);
-            assert_eq!(head.batch, header.batch);
+            assert_eq!(head.attempt, header.attempt);
             let observed = record.observation;
             let mut wanted = bytes_of(&wire(observed.measured));
             wire(observed.truth).put(&mut wanted);
@@ -199,7 +199,7 @@ fn recording_changes_no_digest_and_survives_a_kill() {
     let requests = all::<BatchHeader, DriveRequest>(&rest, "drive_request");
     // The last request is heard again; what was under way is driven again, unless it had just ended.
     let [last, next, ..] = &requests[..] else { panic!("{} requests", requests.len()) };
-    let (last, next) = ((last.0.batch, last.0.attempt), (next.0.batch, next.0.attempt));
+    let [last, next] = [last, next].map(|it| (it.0.attempt.batch, it.0.attempt.attempt));
     assert!([(20, 1), (21, 1)].contains(&last), "{last:?}");
     assert!([(last.0, 2), (last.0 + 1, 1)].contains(&next), "{last:?}, {next:?}");
     sandbox.assert_clean();
@@ -227,7 +227,8 @@ fn a_file_cut_off_by_a_kill_is_read_up_to_its_last_chunk() {
         cut.of("odometry").map(|it| TickHeader::take(&mut &it.data[..]).unwrap()).collect();
     assert!(headers.len() > 1000, "{} ticks", headers.len());
     for pair in headers.windows(2) {
-        let next = if pair[0].batch == pair[1].batch { pair[0].tick + 1 } else { 0 };
+        let next =
+            if pair[0].attempt.batch == pair[1].attempt.batch { pair[0].tick + 1 } else { 0 };
         assert_eq!(pair[1].tick, next);
     }
     // A frozen one is replaced as well.
@@ -261,10 +262,13 @@ fn a_run_is_recorded_from_another_terminal() {
     let heard = recording
         .of("odometry")
         .map(|it| parse::<TickHeader, Odometry>(&it.data).0)
-        .filter(|header| header.batch > first.batch && header.batch <= last)
+        .filter(|header| (first.attempt.batch + 1..=last).contains(&header.attempt.batch))
         .count() as u64;
-    let driven: u64 =
-        reports.iter().filter(|(batch, _)| *batch > first.batch).map(|(_, ticks)| ticks).sum();
+    let driven: u64 = reports
+        .iter()
+        .filter(|(batch, _)| *batch > first.attempt.batch)
+        .map(|(_, ticks)| ticks)
+        .sum();
     let missed: u64 = end["missed.odometry"].parse().unwrap();
     assert!(heard <= driven && driven - heard <= missed, "{heard} of {driven}, {missed} missed");
     // Once more, until the run is over.

@@ -146,8 +146,15 @@ fn what_cannot_be_compared_is_refused() {
     fs::write(&cut, &bytes[..bytes.len() - bytes.len() / 4]).unwrap();
     let text = sandbox.path("text.mcap");
     fs::write(&text, "x_m,y_m\n").unwrap();
+    let old = sandbox.path("old.mcap");
+    let layout = recorder::layout_digest();
+    let at = bytes.windows(layout.len()).position(|it| it == layout.as_bytes()).unwrap();
+    let mut changed = bytes.clone();
+    changed[at..at + layout.len()].fill(b'0');
+    fs::write(&old, changed).unwrap();
     for (file, more, part) in [
-        (cut.display().to_string(), &[][..], "cut off"),
+        (old.display().to_string(), &[][..], "was made by an earlier version of pathtune; "),
+        (cut.display().to_string(), &[], "cut off"),
         (text.display().to_string(), &[], "no recording"),
         (sandbox.path("none.mcap").display().to_string(), &[], "failed to read"),
         (file.clone(), &["--gains", "3,21,21"], "holds 3 numbers"),

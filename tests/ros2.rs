@@ -37,7 +37,7 @@ mod with {
 
     use config::{Layers, RunConfig};
     use ipc_types::{
-        BatchHeader, Command, DriveRequest, Odometry, Status, TickHeader, WirePose, has,
+        Attempt, BatchHeader, Command, DriveRequest, Odometry, Status, TickHeader, WirePose, has,
     };
     use runtime::clock::now_ns;
     use runtime::run::{RunNames, segments_of};
@@ -198,13 +198,9 @@ mod with {
 
         fn request(&mut self) {
             self.batch += 1;
-            let header = BatchHeader {
-                run: self.attachment.names.run,
-                batch: self.batch,
-                attempt: 1,
-                flags: 0,
-                sent_ns: now_ns(),
-            };
+            let (run, batch) = (self.attachment.names.run, self.batch);
+            let attempt = Attempt { run, batch, attempt: 1, reserved: 0 };
+            let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
             let request = DriveRequest { flags: DriveRequest::REAL_TIME, ..Default::default() };
             self.requests.send(header, 1, |_| request).unwrap();
         }
@@ -332,7 +328,7 @@ mod with {
         ring.request();
         let next = ring.drive(Duration::from_secs(2), follow(0.0, 1.0));
         // What was on its way when the request went out is of the drive before.
-        let (header, first) = next.iter().find(|(header, _)| header.batch == 2).unwrap();
+        let (header, first) = next.iter().find(|(header, _)| header.attempt.batch == 2).unwrap();
         assert_eq!((header.tick, first.measured.x_m), (0, 0.0));
 
         // It ends on the way: the car is told to stop.
@@ -363,7 +359,7 @@ mod with {
         ring.wait_for("odometry", Duration::from_secs(5), |ring| ring.heard.len() > heard);
         println!("odometry again {:?} behind the kill", killed.elapsed());
         let first = ring.heard[heard];
-        assert_eq!((first.0.batch, first.0.attempt), (1, 1));
+        assert_eq!((first.0.attempt.batch, first.0.attempt.attempt), (1, 1));
         assert!(first.0.tick > before.0.tick, "{first:?}, before {before:?}");
         let ticks_away = (first.0.odometry_sent_ns - before.0.odometry_sent_ns) / 10_000_000;
         assert!((first.0.tick - before.0.tick).abs_diff(ticks_away) < 10, "{ticks_away}");

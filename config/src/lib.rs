@@ -14,6 +14,7 @@ pub mod launch;
 mod law;
 mod layers;
 mod own_path;
+mod parameters;
 mod path_file;
 mod points;
 mod presets;

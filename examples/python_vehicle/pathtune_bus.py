@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import iceoryx2 as iox2
 
-from pathtune_messages import TOPICS, BatchHeader, Status
+from pathtune_messages import TOPICS, Attempt, BatchHeader, Status
 
 now_ns = time.monotonic_ns
 # Who has waited this long may sleep; who wrote longer ago must wake its readers. Both sides count on it.
@@ -133,7 +133,7 @@ def serve(run, role, event, service):
         signal.signal(number, lambda *_: stop.append(1))
     listener = run.event(event).listener_builder().create()
     beat = Outlet(run, "status")
-    beat.header = BatchHeader(run=run.number)
+    beat.header = BatchHeader(attempt=Attempt(run=run.number))
     status = service.status
     status.role, status.state, status.incarnation = role, Status.READY, run.incarnation
     in_vain, since_ns, is_time, polls = 0, 0, False, 0

@@ -8,13 +8,37 @@ import ctypes
 from typing import NamedTuple
 
 
-class TickHeader(ctypes.Structure):
+class Struct(ctypes.Structure):
+    """A plain C struct; two of them are equal if all their bytes are."""
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and bytes(self) == bytes(other)
+
+
+class Attempt(Struct):
     _fields_ = [
         ("run", ctypes.c_uint64),
         ("batch", ctypes.c_uint64),
-        ("tick", ctypes.c_uint64),
         ("attempt", ctypes.c_uint32),
         ("reserved", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "pathtune.Attempt#6ea4f031"
+
+
+assert ctypes.sizeof(Attempt) == 24, "Attempt"
+assert Attempt.run.offset == 0, "Attempt.run"
+assert Attempt.batch.offset == 8, "Attempt.batch"
+assert Attempt.attempt.offset == 16, "Attempt.attempt"
+assert Attempt.reserved.offset == 20, "Attempt.reserved"
+
+
+class TickHeader(Struct):
+    _fields_ = [
+        ("attempt", Attempt),
+        ("tick", ctypes.c_uint64),
         ("applied_ns", ctypes.c_uint64),
         ("odometry_sent_ns", ctypes.c_uint64),
         ("controller_received_ns", ctypes.c_uint64),
@@ -25,15 +49,12 @@ class TickHeader(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.TickHeader#b992fccc"
+        return "pathtune.TickHeader#9a86e751"
 
 
 assert ctypes.sizeof(TickHeader) == 80, "TickHeader"
-assert TickHeader.run.offset == 0, "TickHeader.run"
-assert TickHeader.batch.offset == 8, "TickHeader.batch"
-assert TickHeader.tick.offset == 16, "TickHeader.tick"
-assert TickHeader.attempt.offset == 24, "TickHeader.attempt"
-assert TickHeader.reserved.offset == 28, "TickHeader.reserved"
+assert TickHeader.attempt.offset == 0, "TickHeader.attempt"
+assert TickHeader.tick.offset == 24, "TickHeader.tick"
 assert TickHeader.applied_ns.offset == 32, "TickHeader.applied_ns"
 assert TickHeader.odometry_sent_ns.offset == 40, "TickHeader.odometry_sent_ns"
 assert TickHeader.controller_received_ns.offset == 48, "TickHeader.controller_received_ns"
@@ -42,29 +63,27 @@ assert TickHeader.supervisor_received_ns.offset == 64, "TickHeader.supervisor_re
 assert TickHeader.supervisor_sent_ns.offset == 72, "TickHeader.supervisor_sent_ns"
 
 
-class BatchHeader(ctypes.Structure):
+class BatchHeader(Struct):
     _fields_ = [
-        ("run", ctypes.c_uint64),
-        ("batch", ctypes.c_uint64),
-        ("attempt", ctypes.c_uint32),
+        ("attempt", Attempt),
         ("flags", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
         ("sent_ns", ctypes.c_uint64),
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.BatchHeader#d63b4017"
+        return "pathtune.BatchHeader#b266e9a6"
 
 
-assert ctypes.sizeof(BatchHeader) == 32, "BatchHeader"
-assert BatchHeader.run.offset == 0, "BatchHeader.run"
-assert BatchHeader.batch.offset == 8, "BatchHeader.batch"
-assert BatchHeader.attempt.offset == 16, "BatchHeader.attempt"
-assert BatchHeader.flags.offset == 20, "BatchHeader.flags"
-assert BatchHeader.sent_ns.offset == 24, "BatchHeader.sent_ns"
+assert ctypes.sizeof(BatchHeader) == 40, "BatchHeader"
+assert BatchHeader.attempt.offset == 0, "BatchHeader.attempt"
+assert BatchHeader.flags.offset == 24, "BatchHeader.flags"
+assert BatchHeader.reserved.offset == 28, "BatchHeader.reserved"
+assert BatchHeader.sent_ns.offset == 32, "BatchHeader.sent_ns"
 
 
-class WirePose(ctypes.Structure):
+class WirePose(Struct):
     _fields_ = [
         ("x_m", ctypes.c_double),
         ("y_m", ctypes.c_double),
@@ -73,7 +92,7 @@ class WirePose(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.WirePose#28756a7d"
+        return "pathtune.WirePose#a8bd35a0"
 
 
 assert ctypes.sizeof(WirePose) == 24, "WirePose"
@@ -82,27 +101,7 @@ assert WirePose.y_m.offset == 8, "WirePose.y_m"
 assert WirePose.yaw_rad.offset == 16, "WirePose.yaw_rad"
 
 
-class Gains(ctypes.Structure):
-    _fields_ = [
-        ("kv", ctypes.c_double),
-        ("kl", ctypes.c_double),
-        ("ks", ctypes.c_double),
-        ("ki", ctypes.c_double),
-    ]
-
-    @staticmethod
-    def type_name() -> str:
-        return "pathtune.Gains#4d3e22b7"
-
-
-assert ctypes.sizeof(Gains) == 32, "Gains"
-assert Gains.kv.offset == 0, "Gains.kv"
-assert Gains.kl.offset == 8, "Gains.kl"
-assert Gains.ks.offset == 16, "Gains.ks"
-assert Gains.ki.offset == 24, "Gains.ki"
-
-
-class Odometry(ctypes.Structure):
+class Odometry(Struct):
     _fields_ = [
         ("measured", WirePose),
         ("truth", WirePose),
@@ -119,7 +118,7 @@ class Odometry(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.Odometry#ca97fa1c"
+        return "pathtune.Odometry#cebfaf2b"
 
 
 assert ctypes.sizeof(Odometry) == 80, "Odometry"
@@ -132,34 +131,36 @@ assert Odometry.status.offset == 72, "Odometry.status"
 assert Odometry.reserved.offset == 76, "Odometry.reserved"
 
 
-class RawCommand(ctypes.Structure):
+class RawCommand(Struct):
     _fields_ = [
         ("speed_mps", ctypes.c_double),
         ("yaw_rate_radps", ctypes.c_double),
         ("steering_rad", ctypes.c_double),
         ("reference_along_m", ctypes.c_double),
         ("origin_m", ctypes.c_double),
-        ("phase", ctypes.c_uint32),
+        ("phase_ticks", ctypes.c_double),
         ("flags", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
     ]
     FROZEN = 65536
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.RawCommand#621c7db2"
+        return "pathtune.RawCommand#ad4a13a3"
 
 
-assert ctypes.sizeof(RawCommand) == 48, "RawCommand"
+assert ctypes.sizeof(RawCommand) == 56, "RawCommand"
 assert RawCommand.speed_mps.offset == 0, "RawCommand.speed_mps"
 assert RawCommand.yaw_rate_radps.offset == 8, "RawCommand.yaw_rate_radps"
 assert RawCommand.steering_rad.offset == 16, "RawCommand.steering_rad"
 assert RawCommand.reference_along_m.offset == 24, "RawCommand.reference_along_m"
 assert RawCommand.origin_m.offset == 32, "RawCommand.origin_m"
-assert RawCommand.phase.offset == 40, "RawCommand.phase"
-assert RawCommand.flags.offset == 44, "RawCommand.flags"
+assert RawCommand.phase_ticks.offset == 40, "RawCommand.phase_ticks"
+assert RawCommand.flags.offset == 48, "RawCommand.flags"
+assert RawCommand.reserved.offset == 52, "RawCommand.reserved"
 
 
-class Command(ctypes.Structure):
+class Command(Struct):
     _fields_ = [
         ("speed_mps", ctypes.c_double),
         ("yaw_rate_radps", ctypes.c_double),
@@ -180,7 +181,7 @@ class Command(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.Command#75b43e5a"
+        return "pathtune.Command#8945e2f9"
 
 
 assert ctypes.sizeof(Command) == 32, "Command"
@@ -191,36 +192,38 @@ assert Command.flags.offset == 24, "Command.flags"
 assert Command.zone.offset == 28, "Command.zone"
 
 
-class TrackingError(ctypes.Structure):
+class TrackingError(Struct):
     _fields_ = [
         ("along_track_m", ctypes.c_double),
         ("cross_track_m", ctypes.c_double),
         ("heading_rad", ctypes.c_double),
         ("reference_along_m", ctypes.c_double),
+        ("path_distance_m", ctypes.c_double),
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.TrackingError#b4e35df1"
+        return "pathtune.TrackingError#34bb665d"
 
 
-assert ctypes.sizeof(TrackingError) == 32, "TrackingError"
+assert ctypes.sizeof(TrackingError) == 40, "TrackingError"
 assert TrackingError.along_track_m.offset == 0, "TrackingError.along_track_m"
 assert TrackingError.cross_track_m.offset == 8, "TrackingError.cross_track_m"
 assert TrackingError.heading_rad.offset == 16, "TrackingError.heading_rad"
 assert TrackingError.reference_along_m.offset == 24, "TrackingError.reference_along_m"
+assert TrackingError.path_distance_m.offset == 32, "TrackingError.path_distance_m"
 
 
-class DriveRequest(ctypes.Structure):
+class DriveRequest(Struct):
     _fields_ = [
         ("start", WirePose),
-        ("gains", Gains),
+        ("parameters", ctypes.c_double * 16),
         ("seed", ctypes.c_uint64),
         ("ticks", ctypes.c_uint64),
         ("learner", ctypes.c_uint32),
         ("step", ctypes.c_uint32),
         ("flags", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint32),
+        ("plant", ctypes.c_uint32),
     ]
     NOISE = 1
     SCHEDULED = 2
@@ -230,21 +233,21 @@ class DriveRequest(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.DriveRequest#25031ab4"
+        return "pathtune.DriveRequest#9c8a9e96"
 
 
-assert ctypes.sizeof(DriveRequest) == 88, "DriveRequest"
+assert ctypes.sizeof(DriveRequest) == 184, "DriveRequest"
 assert DriveRequest.start.offset == 0, "DriveRequest.start"
-assert DriveRequest.gains.offset == 24, "DriveRequest.gains"
-assert DriveRequest.seed.offset == 56, "DriveRequest.seed"
-assert DriveRequest.ticks.offset == 64, "DriveRequest.ticks"
-assert DriveRequest.learner.offset == 72, "DriveRequest.learner"
-assert DriveRequest.step.offset == 76, "DriveRequest.step"
-assert DriveRequest.flags.offset == 80, "DriveRequest.flags"
-assert DriveRequest.reserved.offset == 84, "DriveRequest.reserved"
+assert DriveRequest.parameters.offset == 24, "DriveRequest.parameters"
+assert DriveRequest.seed.offset == 152, "DriveRequest.seed"
+assert DriveRequest.ticks.offset == 160, "DriveRequest.ticks"
+assert DriveRequest.learner.offset == 168, "DriveRequest.learner"
+assert DriveRequest.step.offset == 172, "DriveRequest.step"
+assert DriveRequest.flags.offset == 176, "DriveRequest.flags"
+assert DriveRequest.plant.offset == 180, "DriveRequest.plant"
 
 
-class Zone(ctypes.Structure):
+class Zone(Struct):
     _fields_ = [
         ("from_tick", ctypes.c_uint64),
         ("slot", ctypes.c_uint32),
@@ -253,7 +256,7 @@ class Zone(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.Zone#ffa948e4"
+        return "pathtune.Zone#70050f27"
 
 
 assert ctypes.sizeof(Zone) == 16, "Zone"
@@ -262,9 +265,9 @@ assert Zone.slot.offset == 8, "Zone.slot"
 assert Zone.zone.offset == 12, "Zone.zone"
 
 
-class GainSwitch(ctypes.Structure):
+class GainSwitch(Struct):
     _fields_ = [
-        ("gains", Gains),
+        ("parameters", ctypes.c_double * 16),
         ("from_tick", ctypes.c_uint64),
         ("slot", ctypes.c_uint32),
         ("zone", ctypes.c_uint32),
@@ -272,17 +275,17 @@ class GainSwitch(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.GainSwitch#99d19014"
+        return "pathtune.GainSwitch#d0e6a29d"
 
 
-assert ctypes.sizeof(GainSwitch) == 48, "GainSwitch"
-assert GainSwitch.gains.offset == 0, "GainSwitch.gains"
-assert GainSwitch.from_tick.offset == 32, "GainSwitch.from_tick"
-assert GainSwitch.slot.offset == 40, "GainSwitch.slot"
-assert GainSwitch.zone.offset == 44, "GainSwitch.zone"
+assert ctypes.sizeof(GainSwitch) == 144, "GainSwitch"
+assert GainSwitch.parameters.offset == 0, "GainSwitch.parameters"
+assert GainSwitch.from_tick.offset == 128, "GainSwitch.from_tick"
+assert GainSwitch.slot.offset == 136, "GainSwitch.slot"
+assert GainSwitch.zone.offset == 140, "GainSwitch.zone"
 
 
-class Credit(ctypes.Structure):
+class Credit(Struct):
     _fields_ = [
         ("ticks", ctypes.c_uint64),
         ("source", ctypes.c_uint32),
@@ -292,7 +295,7 @@ class Credit(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.Credit#6394cb7d"
+        return "pathtune.Credit#8bf7c056"
 
 
 assert ctypes.sizeof(Credit) == 16, "Credit"
@@ -301,9 +304,9 @@ assert Credit.source.offset == 8, "Credit.source"
 assert Credit.reserved.offset == 12, "Credit.reserved"
 
 
-class DriveReport(ctypes.Structure):
+class DriveReport(Struct):
     _fields_ = [
-        ("gains", Gains),
+        ("parameters", ctypes.c_double * 16),
         ("seed", ctypes.c_uint64),
         ("ticks", ctypes.c_uint64),
         ("steering_limited_ticks", ctypes.c_uint64),
@@ -314,6 +317,12 @@ class DriveReport(ctypes.Structure):
         ("along_mse_m2", ctypes.c_double),
         ("cross_mse_m2", ctypes.c_double),
         ("max_abs_cross_m", ctypes.c_double),
+        ("path_mean_m", ctypes.c_double),
+        ("path_p95_m", ctypes.c_double),
+        ("path_max_m", ctypes.c_double),
+        ("progress", ctypes.c_double),
+        ("steering_travel_radps", ctypes.c_double),
+        ("lateral_acceleration_max_mps2", ctypes.c_double),
         ("learner", ctypes.c_uint32),
         ("step", ctypes.c_uint32),
         ("reason", ctypes.c_uint32),
@@ -326,75 +335,77 @@ class DriveReport(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.DriveReport#c5e95e05"
+        return "pathtune.DriveReport#02c6c037"
 
 
-assert ctypes.sizeof(DriveReport) == 128, "DriveReport"
-assert DriveReport.gains.offset == 0, "DriveReport.gains"
-assert DriveReport.seed.offset == 32, "DriveReport.seed"
-assert DriveReport.ticks.offset == 40, "DriveReport.ticks"
-assert DriveReport.steering_limited_ticks.offset == 48, "DriveReport.steering_limited_ticks"
-assert DriveReport.trace.offset == 56, "DriveReport.trace"
-assert DriveReport.mean_abs_along_m.offset == 64, "DriveReport.mean_abs_along_m"
-assert DriveReport.mean_abs_cross_m.offset == 72, "DriveReport.mean_abs_cross_m"
-assert DriveReport.mean_abs_heading_rad.offset == 80, "DriveReport.mean_abs_heading_rad"
-assert DriveReport.along_mse_m2.offset == 88, "DriveReport.along_mse_m2"
-assert DriveReport.cross_mse_m2.offset == 96, "DriveReport.cross_mse_m2"
-assert DriveReport.max_abs_cross_m.offset == 104, "DriveReport.max_abs_cross_m"
-assert DriveReport.learner.offset == 112, "DriveReport.learner"
-assert DriveReport.step.offset == 116, "DriveReport.step"
-assert DriveReport.reason.offset == 120, "DriveReport.reason"
-assert DriveReport.flags.offset == 124, "DriveReport.flags"
+assert ctypes.sizeof(DriveReport) == 272, "DriveReport"
+assert DriveReport.parameters.offset == 0, "DriveReport.parameters"
+assert DriveReport.seed.offset == 128, "DriveReport.seed"
+assert DriveReport.ticks.offset == 136, "DriveReport.ticks"
+assert DriveReport.steering_limited_ticks.offset == 144, "DriveReport.steering_limited_ticks"
+assert DriveReport.trace.offset == 152, "DriveReport.trace"
+assert DriveReport.mean_abs_along_m.offset == 160, "DriveReport.mean_abs_along_m"
+assert DriveReport.mean_abs_cross_m.offset == 168, "DriveReport.mean_abs_cross_m"
+assert DriveReport.mean_abs_heading_rad.offset == 176, "DriveReport.mean_abs_heading_rad"
+assert DriveReport.along_mse_m2.offset == 184, "DriveReport.along_mse_m2"
+assert DriveReport.cross_mse_m2.offset == 192, "DriveReport.cross_mse_m2"
+assert DriveReport.max_abs_cross_m.offset == 200, "DriveReport.max_abs_cross_m"
+assert DriveReport.path_mean_m.offset == 208, "DriveReport.path_mean_m"
+assert DriveReport.path_p95_m.offset == 216, "DriveReport.path_p95_m"
+assert DriveReport.path_max_m.offset == 224, "DriveReport.path_max_m"
+assert DriveReport.progress.offset == 232, "DriveReport.progress"
+assert DriveReport.steering_travel_radps.offset == 240, "DriveReport.steering_travel_radps"
+assert DriveReport.lateral_acceleration_max_mps2.offset == 248, "DriveReport.lateral_acceleration_max_mps2"
+assert DriveReport.learner.offset == 256, "DriveReport.learner"
+assert DriveReport.step.offset == 260, "DriveReport.step"
+assert DriveReport.reason.offset == 264, "DriveReport.reason"
+assert DriveReport.flags.offset == 268, "DriveReport.flags"
 
 
-class DriveOutcome(ctypes.Structure):
+class DriveOutcome(Struct):
     _fields_ = [
         ("report", DriveReport),
-        ("batch", ctypes.c_uint64),
-        ("attempt", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint32),
+        ("attempt", Attempt),
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.DriveOutcome#078db9d1"
+        return "pathtune.DriveOutcome#ac4a0193"
 
 
-assert ctypes.sizeof(DriveOutcome) == 144, "DriveOutcome"
+assert ctypes.sizeof(DriveOutcome) == 296, "DriveOutcome"
 assert DriveOutcome.report.offset == 0, "DriveOutcome.report"
-assert DriveOutcome.batch.offset == 128, "DriveOutcome.batch"
-assert DriveOutcome.attempt.offset == 136, "DriveOutcome.attempt"
-assert DriveOutcome.reserved.offset == 140, "DriveOutcome.reserved"
+assert DriveOutcome.attempt.offset == 272, "DriveOutcome.attempt"
 
 
-class Proposal(ctypes.Structure):
+class Proposal(Struct):
     _fields_ = [
-        ("gains", Gains),
+        ("parameters", ctypes.c_double * 16),
         ("seed", ctypes.c_uint64),
         ("ticks", ctypes.c_uint64),
         ("learner", ctypes.c_uint32),
         ("step", ctypes.c_uint32),
         ("flags", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint32),
+        ("plant", ctypes.c_uint32),
     ]
     FINISHED = 1
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.Proposal#4aabe2a0"
+        return "pathtune.Proposal#b0075c53"
 
 
-assert ctypes.sizeof(Proposal) == 64, "Proposal"
-assert Proposal.gains.offset == 0, "Proposal.gains"
-assert Proposal.seed.offset == 32, "Proposal.seed"
-assert Proposal.ticks.offset == 40, "Proposal.ticks"
-assert Proposal.learner.offset == 48, "Proposal.learner"
-assert Proposal.step.offset == 52, "Proposal.step"
-assert Proposal.flags.offset == 56, "Proposal.flags"
-assert Proposal.reserved.offset == 60, "Proposal.reserved"
+assert ctypes.sizeof(Proposal) == 160, "Proposal"
+assert Proposal.parameters.offset == 0, "Proposal.parameters"
+assert Proposal.seed.offset == 128, "Proposal.seed"
+assert Proposal.ticks.offset == 136, "Proposal.ticks"
+assert Proposal.learner.offset == 144, "Proposal.learner"
+assert Proposal.step.offset == 148, "Proposal.step"
+assert Proposal.flags.offset == 152, "Proposal.flags"
+assert Proposal.plant.offset == 156, "Proposal.plant"
 
 
-class LearnerProgress(ctypes.Structure):
+class LearnerProgress(Struct):
     _fields_ = [
         ("epsilon", ctypes.c_double),
         ("best_distance", ctypes.c_double),
@@ -407,7 +418,7 @@ class LearnerProgress(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.LearnerProgress#65b947ab"
+        return "pathtune.LearnerProgress#eaac3176"
 
 
 assert ctypes.sizeof(LearnerProgress) == 32, "LearnerProgress"
@@ -418,17 +429,19 @@ assert LearnerProgress.episode.offset == 24, "LearnerProgress.episode"
 assert LearnerProgress.episodes.offset == 28, "LearnerProgress.episodes"
 
 
-class Safety(ctypes.Structure):
+class Safety(Struct):
     _fields_ = [
         ("tick", ctypes.c_uint64),
         ("origin_m", ctypes.c_double),
         ("steering_rad", ctypes.c_double),
         ("changed", ctypes.c_uint64),
         ("own", ctypes.c_uint64),
-        ("phase", ctypes.c_uint32),
+        ("phase_ticks", ctypes.c_double),
+        ("clock_rate", ctypes.c_double),
         ("state", ctypes.c_uint32),
         ("reasons", ctypes.c_uint32),
         ("has_reference", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
     ]
     NORMAL = 0
     DEGRADED = 1
@@ -444,22 +457,64 @@ class Safety(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.Safety#ee97816b"
+        return "pathtune.Safety#cc6e30aa"
 
 
-assert ctypes.sizeof(Safety) == 56, "Safety"
+assert ctypes.sizeof(Safety) == 72, "Safety"
 assert Safety.tick.offset == 0, "Safety.tick"
 assert Safety.origin_m.offset == 8, "Safety.origin_m"
 assert Safety.steering_rad.offset == 16, "Safety.steering_rad"
 assert Safety.changed.offset == 24, "Safety.changed"
 assert Safety.own.offset == 32, "Safety.own"
-assert Safety.phase.offset == 40, "Safety.phase"
-assert Safety.state.offset == 44, "Safety.state"
-assert Safety.reasons.offset == 48, "Safety.reasons"
-assert Safety.has_reference.offset == 52, "Safety.has_reference"
+assert Safety.phase_ticks.offset == 40, "Safety.phase_ticks"
+assert Safety.clock_rate.offset == 48, "Safety.clock_rate"
+assert Safety.state.offset == 56, "Safety.state"
+assert Safety.reasons.offset == 60, "Safety.reasons"
+assert Safety.has_reference.offset == 64, "Safety.has_reference"
+assert Safety.reserved.offset == 68, "Safety.reserved"
 
 
-class Rearm(ctypes.Structure):
+class LawState(Struct):
+    _fields_ = [
+        ("tick", ctypes.c_uint64),
+        ("slot", ctypes.c_uint32),
+        ("count", ctypes.c_uint32),
+        ("numbers", ctypes.c_double * 64),
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "pathtune.LawState#9c74370b"
+
+
+assert ctypes.sizeof(LawState) == 528, "LawState"
+assert LawState.tick.offset == 0, "LawState.tick"
+assert LawState.slot.offset == 8, "LawState.slot"
+assert LawState.count.offset == 12, "LawState.count"
+assert LawState.numbers.offset == 16, "LawState.numbers"
+
+
+class KeptLawState(Struct):
+    _fields_ = [
+        ("tick", ctypes.c_uint64),
+        ("slot", ctypes.c_uint32),
+        ("count", ctypes.c_uint32),
+        ("numbers", ctypes.c_double * 64),
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "pathtune.KeptLawState#9c74370b"
+
+
+assert ctypes.sizeof(KeptLawState) == 528, "KeptLawState"
+assert KeptLawState.tick.offset == 0, "KeptLawState.tick"
+assert KeptLawState.slot.offset == 8, "KeptLawState.slot"
+assert KeptLawState.count.offset == 12, "KeptLawState.count"
+assert KeptLawState.numbers.offset == 16, "KeptLawState.numbers"
+
+
+class Rearm(Struct):
     _fields_ = [
         ("slot", ctypes.c_uint32),
         ("reserved", ctypes.c_uint32),
@@ -467,7 +522,7 @@ class Rearm(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.Rearm#29118acd"
+        return "pathtune.Rearm#c6f12acf"
 
 
 assert ctypes.sizeof(Rearm) == 8, "Rearm"
@@ -475,7 +530,7 @@ assert Rearm.slot.offset == 0, "Rearm.slot"
 assert Rearm.reserved.offset == 4, "Rearm.reserved"
 
 
-class Status(ctypes.Structure):
+class Status(Struct):
     _fields_ = [
         ("incarnation", ctypes.c_uint64),
         ("batch", ctypes.c_uint64),
@@ -499,7 +554,7 @@ class Status(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.Status#4f6b8ef1"
+        return "pathtune.Status#414291dd"
 
 
 assert ctypes.sizeof(Status) == 64, "Status"
@@ -541,6 +596,8 @@ TOPICS = {
     "proposal": Topic("proposal", Proposal, BatchHeader, ("wake/orchestrator",), 2),
     "learner_progress": Topic("learner_progress", LearnerProgress, BatchHeader, (), 2),
     "safety": Topic("safety", Safety, BatchHeader, ("wake/controller",), 16),
+    "law_state": Topic("law_state", LawState, BatchHeader, (), 2),
+    "kept_law_state": Topic("kept_law_state", KeptLawState, BatchHeader, (), 2),
     "rearm": Topic("rearm", Rearm, BatchHeader, ("wake/supervisor",), 2),
     "status": Topic("status", Status, BatchHeader, ("wake/orchestrator",), 64),
 }

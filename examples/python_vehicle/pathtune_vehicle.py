@@ -77,7 +77,7 @@ class Vehicle:
     def start_batch(self):
         header, count = self.requests.header, self.requests.len
         self.waits_for_command, self.held_back, self.slots = False, False, []
-        if header.run != self.run.number or not 0 < count <= min(CAPACITY, self.run.max_len):
+        if header.attempt.run != self.run.number or not 0 < count <= min(CAPACITY, self.run.max_len):
             self.status.dropped += 1
             return
         requests = self.requests.items[:count]
@@ -89,7 +89,7 @@ class Vehicle:
         for request in requests:
             flags |= request.flags
         self.allowed = {source: ticks for source, ticks in wanted if flags & source and not self.realtime}
-        self.odometry.header = TickHeader(run=header.run, batch=header.batch, attempt=header.attempt)
+        self.odometry.header = TickHeader(attempt=header.attempt)
         self.zero_ns = now_ns()
         if self.realtime and self.run.incarnation > 1 and header.sent_ns < self.started_ns:
             # Restarted during a drive: it goes on with that, from where this car now stands, which is the start.
@@ -107,7 +107,7 @@ class Vehicle:
             if self.realtime or not slot.ended:
                 slot.car.observe()
         header.odometry_sent_ns = now_ns()
-        self.status.batch, self.status.tick = header.batch, header.tick
+        self.status.batch, self.status.tick = header.attempt.batch, header.tick
         self.odometry.send(len(self.slots))
         self.waits_for_command = not self.realtime
 
@@ -116,7 +116,7 @@ class Vehicle:
         heard, ours = False, self.odometry.header
         while self.credits.receive():
             heard, header, credit = True, self.credits.header, self.credits.items[0]
-            if (header.run, header.batch, header.attempt) != (ours.run, ours.batch, ours.attempt):
+            if header.attempt != ours.attempt:
                 self.status.dropped += 1
             elif credit.source in self.allowed:
                 ticks = credit.ticks + Credit.AHEAD
@@ -127,7 +127,7 @@ class Vehicle:
 
     def hear_command(self):
         header, ours, now = self.commands.header, self.odometry.header, now_ns()
-        fits = (header.run, header.batch, header.attempt) == (ours.run, ours.batch, ours.attempt)
+        fits = header.attempt == ours.attempt
         if self.realtime:
             fits = fits and self.command_tick <= header.tick <= ours.tick
         else:

@@ -21,3 +21,8 @@ pub mod schema;
 pub use allowance::Allowance;
 pub use messages::*;
 pub use topics::{Message, Topic, WakeRole};
+
+/// The most parameters that a law has.
+pub const MAX_PARAMETERS: usize = 16;
+/// The most numbers of a law's state.
+pub const MAX_STATE: usize = 64;

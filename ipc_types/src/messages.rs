@@ -1,8 +1,9 @@
 //! The messages. Change a field, and the build tells the new hash for the type's name.
 
-use iceoryx2::prelude::ZeroCopySend;
+use std::cmp::Ordering;
 
-use crate::layout::{constants, message};
+use crate::layout::{ZeroCopySend, constants, message};
+use crate::{MAX_PARAMETERS, MAX_STATE};
 
 /// Values of [`Odometry::status`] and of the command's flags are bits; this tests one.
 pub const fn has(bits: u32, bit: u32) -> bool {
@@ -10,21 +11,65 @@ pub const fn has(bits: u32, bit: u32) -> bool {
 }
 
 message!(
-    /// Header of the topics that are sent once a tick.
+    /// Which attempt at which batch of which run: what every header says first.
     ///
-    /// Each hop copies the header of what it answers, and adds its own stamps.
-    #[name = "pathtune.TickHeader#b992fccc"]
-    pub struct TickHeader {
-        /// The run; whatever names another one is dropped.
+    /// Two of them are compared as a whole. What names another attempt than the one under way is dropped.
+    #[name = "pathtune.Attempt#6ea4f031"]
+    pub struct Attempt {
+        /// The run.
         pub run: u64,
-        /// The batch of drives, counted from 1.
+        /// The batch of drives, counted from 1; 0 where none is meant.
         pub batch: u64,
-        /// The tick of the batch, counted from 0.
-        pub tick: u64,
-        /// The attempt at this batch, counted from 1.
+        /// The attempt at this batch, counted from 1; 0 where none is meant.
         pub attempt: u32,
         /// Explicit padding; 0.
         pub reserved: u32,
+    }
+);
+
+impl Attempt {
+    /// What belongs to a run, and to none of its batches.
+    pub const fn between_batches(run: u64) -> Self {
+        Self { run, batch: 0, attempt: 0, reserved: 0 }
+    }
+
+    /// Whether it belongs to this run.
+    pub const fn is_of(&self, run: u64) -> bool {
+        self.run == run
+    }
+
+    /// Whether it is of the same run, and comes later: of a later batch, or of a later attempt at the same.
+    pub fn is_ahead_of(&self, other: &Self) -> bool {
+        self.is_of(other.run) && self > other
+    }
+}
+
+impl Eq for Attempt {}
+
+impl Ord for Attempt {
+    /// By run, then batch, then attempt: those of one run in the order in which they are driven.
+    fn cmp(&self, other: &Self) -> Ordering {
+        let key = |it: &Self| (it.run, it.batch, it.attempt, it.reserved);
+        key(self).cmp(&key(other))
+    }
+}
+
+impl PartialOrd for Attempt {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+message!(
+    /// Header of the topics that are sent once a tick.
+    ///
+    /// Each hop copies the header of what it answers, and adds its own stamps.
+    #[name = "pathtune.TickHeader#9a86e751"]
+    pub struct TickHeader {
+        /// The attempt that it belongs to.
+        pub attempt: Attempt,
+        /// The tick of the batch, counted from 0.
+        pub tick: u64,
         /// When the command of the tick before was applied; 0 at tick 0.
         pub applied_ns: u64,
         /// When the vehicle published the odometry.
@@ -42,16 +87,14 @@ message!(
 
 message!(
     /// Header of the topics that are sent between ticks.
-    #[name = "pathtune.BatchHeader#d63b4017"]
+    #[name = "pathtune.BatchHeader#b266e9a6"]
     pub struct BatchHeader {
-        /// The run; whatever names another one is dropped.
-        pub run: u64,
-        /// The batch of drives, counted from 1; 0 where none is meant.
-        pub batch: u64,
-        /// The attempt at this batch, counted from 1; 0 where none is meant.
-        pub attempt: u32,
+        /// The attempt that it belongs to.
+        pub attempt: Attempt,
         /// Bits of the message, as its description says.
         pub flags: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
         /// When it was sent.
         pub sent_ns: u64,
     }
@@ -59,7 +102,7 @@ message!(
 
 message!(
     /// A pose in the map frame (REP-103: x forward, y left, yaw counter-clockwise, not wrapped).
-    #[name = "pathtune.WirePose#28756a7d"]
+    #[name = "pathtune.WirePose#a8bd35a0"]
     pub struct WirePose {
         /// x in the map frame.
         pub x_m: f64,
@@ -72,7 +115,7 @@ message!(
 
 message!(
     /// What a vehicle's sensors tell at one tick. Sent by the vehicle.
-    #[name = "pathtune.Odometry#ca97fa1c"]
+    #[name = "pathtune.Odometry#cebfaf2b"]
     pub struct Odometry {
         /// Pose of the tracked point as measured.
         pub measured: WirePose,
@@ -105,7 +148,7 @@ constants!(
 
 message!(
     /// What the control law wants. Sent by the controller.
-    #[name = "pathtune.RawCommand#621c7db2"]
+    #[name = "pathtune.RawCommand#ad4a13a3"]
     pub struct RawCommand {
         /// v: forward speed; may be negative.
         pub speed_mps: f64,
@@ -117,10 +160,13 @@ message!(
         pub reference_along_m: f64,
         /// Where along the path the reference's clock last started from rest; 0 at the start of a drive.
         pub origin_m: f64,
-        /// Ticks of the reference's clock since then. It stands still while the gate stops the vehicle.
-        pub phase: u32,
+        /// How far the reference's clock has run since then, in ticks. It stands still while the gate slows down or
+        /// stops the vehicle.
+        pub phase_ticks: f64,
         /// The bits below, and [`Command::ENDED`].
         pub flags: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
     }
 );
 
@@ -132,7 +178,7 @@ constants!(
 
 message!(
     /// What the vehicle is to do. Sent by the supervisor.
-    #[name = "pathtune.Command#75b43e5a"]
+    #[name = "pathtune.Command#8945e2f9"]
     pub struct Command {
         /// Forward speed; a negative one only brakes.
         pub speed_mps: f64,
@@ -174,7 +220,7 @@ constants!(
 message!(
     /// What the gate of one vehicle does, and why. Sent by the supervisor with every command in real time, in lockstep
     /// when `state` changes; the last one is kept for late joiners.
-    #[name = "pathtune.Safety#ee97816b"]
+    #[name = "pathtune.Safety#cc6e30aa"]
     pub struct Safety {
         /// Tick of the odometry that it rests on.
         pub tick: u64,
@@ -186,14 +232,19 @@ message!(
         pub changed: u64,
         /// Commands of the gate's own since the start of the drive: degraded, stopping or stopped.
         pub own: u64,
-        /// [`RawCommand::phase`] of the last answer.
-        pub phase: u32,
+        /// [`RawCommand::phase_ticks`] of the last answer.
+        pub phase_ticks: f64,
+        /// The rate at which the reference's clock is to run on from here, in ticks of the clock in a tick of the
+        /// vehicle: 1, or 0 while the gate slows down or stops the vehicle.
+        pub clock_rate: f64,
         /// One of [`Safety::NORMAL`] and the values behind it.
         pub state: u32,
         /// Bits of what is wrong now, or was when the vehicle was stopped.
         pub reasons: u32,
-        /// 1 if an answer has been heard, so that `origin_m` and `phase` mean something; else 0.
+        /// 1 if an answer has been heard, so that `origin_m` and `phase_ticks` mean something; else 0.
         pub has_reference: u32,
+        /// Explicit padding; 0.
+        pub reserved: u32,
     }
 );
 
@@ -225,8 +276,40 @@ constants!(
 );
 
 message!(
+    /// What a law must not lose when its process is replaced during a drive. Sent by the controller with each raw command
+    /// where the vehicle paces by the clock; in lockstep a drive is driven again instead.
+    #[name = "pathtune.LawState#9c74370b"]
+    pub struct LawState {
+        /// Tick of the raw command that left the law in this state.
+        pub tick: u64,
+        /// The slot of the fleet.
+        pub slot: u32,
+        /// How many of the numbers the law uses; 0 if nothing is known.
+        pub count: u32,
+        /// The law's numbers, in an order and in units of its own; unused ones 0.
+        pub numbers: [f64; MAX_STATE],
+    }
+);
+
+message!(
+    /// The newest [`LawState`] of a slot, for a controller that joins the drive. Sent by the supervisor before [`Safety`],
+    /// where the vehicle paces by the clock.
+    #[name = "pathtune.KeptLawState#9c74370b"]
+    pub struct KeptLawState {
+        /// Tick of the raw command that left the law in this state.
+        pub tick: u64,
+        /// The slot of the fleet.
+        pub slot: u32,
+        /// How many of the numbers the law uses; 0 if nothing is known.
+        pub count: u32,
+        /// The law's numbers, as [`LawState::numbers`].
+        pub numbers: [f64; MAX_STATE],
+    }
+);
+
+message!(
     /// Lets a stopped vehicle drive again. Sent by `pathtune rearm`, under a header whose `batch` is 0.
-    #[name = "pathtune.Rearm#29118acd"]
+    #[name = "pathtune.Rearm#c6f12acf"]
     pub struct Rearm {
         /// The slot of the fleet.
         pub slot: u32,
@@ -237,7 +320,7 @@ message!(
 
 message!(
     /// The error that the law read. Sent by the controller, for observers.
-    #[name = "pathtune.TrackingError#b4e35df1"]
+    #[name = "pathtune.TrackingError#34bb665d"]
     pub struct TrackingError {
         /// Forward: positive where the vehicle is behind its reference.
         pub along_track_m: f64,
@@ -247,27 +330,14 @@ message!(
         pub heading_rad: f64,
         /// Progress of the reference along the path.
         pub reference_along_m: f64,
-    }
-);
-
-message!(
-    /// The four gains of the control law.
-    #[name = "pathtune.Gains#4d3e22b7"]
-    pub struct Gains {
-        /// Kv, 1/s.
-        pub kv: f64,
-        /// Kl, rad/(m·s).
-        pub kl: f64,
-        /// Ks, 1/s.
-        pub ks: f64,
-        /// Ki, without unit.
-        pub ki: f64,
+        /// Distance of the measured pose from the nearest point of the path; never negative.
+        pub path_distance_m: f64,
     }
 );
 
 message!(
     /// The zone that a vehicle is in. Sent by the supervisor when it changes.
-    #[name = "pathtune.Zone#ffa948e4"]
+    #[name = "pathtune.Zone#70050f27"]
     pub struct Zone {
         /// The first tick for which it holds.
         pub from_tick: u64,
@@ -279,11 +349,11 @@ message!(
 );
 
 message!(
-    /// The gains of a zone: the gain schedule's answer to a [`Zone`]. Sent by whoever fills the trainer's role.
-    #[name = "pathtune.GainSwitch#99d19014"]
+    /// The parameters of a zone: the gain schedule's answer to a [`Zone`]. Sent by whoever fills the trainer's role.
+    #[name = "pathtune.GainSwitch#d0e6a29d"]
     pub struct GainSwitch {
-        /// The gains.
-        pub gains: Gains,
+        /// The configured law's parameters, in its order and units; unused ones 0.
+        pub parameters: [f64; MAX_PARAMETERS],
         /// The first tick for which they hold.
         pub from_tick: u64,
         /// The slot of the fleet.
@@ -295,7 +365,7 @@ message!(
 
 message!(
     /// How far a recorder has got. Sent by the recorder; a vehicle in lockstep does not run ahead of it.
-    #[name = "pathtune.Credit#6394cb7d"]
+    #[name = "pathtune.Credit#8bf7c056"]
     pub struct Credit {
         /// Ticks of the batch that the recorder has taken over.
         pub ticks: u64,
@@ -316,10 +386,10 @@ constants!(
 
 message!(
     /// A drive that a learner asks for. Sent by the trainer, all that are wanted in one message.
-    #[name = "pathtune.Proposal#4aabe2a0"]
+    #[name = "pathtune.Proposal#b0075c53"]
     pub struct Proposal {
-        /// The gains.
-        pub gains: Gains,
+        /// The configured law's parameters, in its order and units; unused ones 0.
+        pub parameters: [f64; MAX_PARAMETERS],
         /// Seed of the noise.
         pub seed: u64,
         /// Full length in ticks.
@@ -330,8 +400,8 @@ message!(
         pub step: u32,
         /// The bits of [`DriveRequest::flags`].
         pub flags: u32,
-        /// Explicit padding; 0.
-        pub reserved: u32,
+        /// Which set of vehicle values is to be driven: 0 for the configured one.
+        pub plant: u32,
     }
 );
 
@@ -343,12 +413,13 @@ constants!(
 
 message!(
     /// One slot of a batch: the drive that one vehicle makes. Sent by the orchestrator, one a vehicle.
-    #[name = "pathtune.DriveRequest#25031ab4"]
+    #[name = "pathtune.DriveRequest#9c8a9e96"]
     pub struct DriveRequest {
         /// Where the tracked point is to stand, at rest.
         pub start: WirePose,
-        /// The gains; those of the first zone, where `flags` has [`DriveRequest::SCHEDULED`].
-        pub gains: Gains,
+        /// The configured law's parameters, in its order and units, unused ones 0; those of the first zone, where `flags`
+        /// has [`DriveRequest::SCHEDULED`].
+        pub parameters: [f64; MAX_PARAMETERS],
         /// Seed of the noise, where `flags` has [`DriveRequest::NOISE`].
         pub seed: u64,
         /// Full length in ticks.
@@ -359,8 +430,8 @@ message!(
         pub step: u32,
         /// The bits below.
         pub flags: u32,
-        /// Explicit padding; 0.
-        pub reserved: u32,
+        /// Which set of vehicle values is to be driven: 0 for the configured one.
+        pub plant: u32,
     }
 );
 
@@ -368,7 +439,7 @@ constants!(
     DriveRequest:
     /// The measured pose is to carry noise.
     pub const NOISE: u32 = 1;
-    /// The gains change with the zone: the controller awaits a [`GainSwitch`] behind each [`Zone`].
+    /// The parameters change with the zone: the controller awaits a [`GainSwitch`] behind each [`Zone`].
     pub const SCHEDULED: u32 = 2;
     /// The drive is recorded without a gap by whoever asked for it: a vehicle in lockstep waits for the
     /// trainer's [`Credit`].
@@ -385,10 +456,10 @@ message!(
     /// What is remembered of a drive. Sent by the controller when the batch has ended, one a slot.
     ///
     /// Errors are those of the true poses where the vehicle knows them, else of the measured ones.
-    #[name = "pathtune.DriveReport#c5e95e05"]
+    #[name = "pathtune.DriveReport#02c6c037"]
     pub struct DriveReport {
-        /// The gains that were driven.
-        pub gains: Gains,
+        /// The parameters of the request, as [`DriveRequest::parameters`].
+        pub parameters: [f64; MAX_PARAMETERS],
         /// Seed of the request.
         pub seed: u64,
         /// Ticks driven.
@@ -409,6 +480,18 @@ message!(
         pub cross_mse_m2: f64,
         /// Largest absolute cross-track error.
         pub max_abs_cross_m: f64,
+        /// Mean distance from the path: of the true pose, else of the measured one, to the nearest point of the path.
+        pub path_mean_m: f64,
+        /// The distance from the path that 95 % of the ticks do not exceed.
+        pub path_p95_m: f64,
+        /// Largest distance from the path.
+        pub path_max_m: f64,
+        /// The share of the path, from 0 to 1, at which the drive ended.
+        pub progress: f64,
+        /// Mean absolute rate of the commanded steering angle.
+        pub steering_travel_radps: f64,
+        /// Largest absolute lateral acceleration: speed times yaw rate of the odometry.
+        pub lateral_acceleration_max_mps2: f64,
         /// The learner that asked.
         pub learner: u32,
         /// Its step.
@@ -434,22 +517,18 @@ constants!(
 
 message!(
     /// A finished drive, as the trainer is told of it. Sent by the orchestrator, again when asked again.
-    #[name = "pathtune.DriveOutcome#078db9d1"]
+    #[name = "pathtune.DriveOutcome#ac4a0193"]
     pub struct DriveOutcome {
         /// The controller's report.
         pub report: DriveReport,
-        /// The batch that it was driven in.
-        pub batch: u64,
         /// The attempt that succeeded.
-        pub attempt: u32,
-        /// Explicit padding; 0.
-        pub reserved: u32,
+        pub attempt: Attempt,
     }
 );
 
 message!(
     /// Where one learner stands. Sent by the trainer, one a learner.
-    #[name = "pathtune.LearnerProgress#65b947ab"]
+    #[name = "pathtune.LearnerProgress#eaac3176"]
     pub struct LearnerProgress {
         /// Exploration rate of the current episode.
         pub epsilon: f64,
@@ -474,7 +553,7 @@ constants!(
 
 message!(
     /// A sign of life. Sent by every process, when it becomes ready and then at least every 100 ms.
-    #[name = "pathtune.Status#4f6b8ef1"]
+    #[name = "pathtune.Status#414291dd"]
     pub struct Status {
         /// Which start of this role it is, from the environment.
         pub incarnation: u64,
@@ -482,12 +561,12 @@ message!(
         pub batch: u64,
         /// Its next tick.
         pub tick: u64,
-        /// Samples that did not match run, batch, attempt and tick, and were dropped.
+        /// Samples that did not match attempt and tick, and were dropped.
         pub dropped: u64,
         /// Samples that were not finite or out of range, and were rejected.
         pub rejected: u64,
         /// Samples that came too late in real time: odometry that nobody answered, answers and commands beyond
-        /// their age limit, ticks driven before their zone's gains had come.
+        /// their age limit, ticks driven before their zone's parameters had come.
         pub late: u64,
         /// The role: one of the values below.
         pub role: u32,
@@ -568,4 +647,20 @@ impl Safety {
 
 fn those(bits: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
     names.iter().filter(|(bit, _)| has(bits, *bit)).map(|(_, name)| *name).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_attempt_is_ahead_only_in_its_own_run() {
+        let at = |run, batch, attempt| Attempt { run, batch, attempt, reserved: 0 };
+        let now = at(7, 2, 3);
+        assert!(now.is_of(7) && !now.is_of(8));
+        assert!(at(7, 2, 4).is_ahead_of(&now) && at(7, 3, 1).is_ahead_of(&now));
+        assert!(!now.is_ahead_of(&now) && !at(7, 1, 9).is_ahead_of(&now));
+        assert!(!at(8, 9, 9).is_ahead_of(&now) && !at(6, 9, 9).is_ahead_of(&now));
+        assert!(now.is_ahead_of(&Attempt::between_batches(7)));
+    }
 }

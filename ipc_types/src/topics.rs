@@ -1,15 +1,15 @@
-//! All topics in one table: name, who is woken, how much is kept.
+//! All topics in one table: name, who sends, who is woken, how much is kept.
 
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::layout::Layout;
 use crate::{
     BatchHeader, Command, Credit, DriveOutcome, DriveReport, DriveRequest, GainSwitch,
-    LearnerProgress, Odometry, Proposal, RawCommand, Rearm, Safety, Status, TickHeader,
-    TrackingError, Zone,
+    KeptLawState, LawState, LearnerProgress, Odometry, Proposal, RawCommand, Rearm, Safety, Status,
+    TickHeader, TrackingError, Zone,
 };
 
-/// Who can be woken by a message.
+/// Who can be woken by a message. The same roles send them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs, reason = "the roles of a pipeline")]
 pub enum WakeRole {
@@ -45,11 +45,24 @@ impl WakeRole {
     }
 }
 
+/// Who sends the messages of a topic.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Senders {
+    /// Whoever fills one of these roles.
+    Roles(&'static [WakeRole]),
+    /// `pathtune rearm`, on somebody's behalf.
+    Rearm,
+    /// Every process of the run.
+    Everybody,
+}
+
 /// Settings of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Topic {
     /// Name.
     pub name: &'static str,
+    /// Who sends its messages.
+    pub senders: Senders,
     /// Who is woken by a message, in this order: the scheduler runs them in it.
     pub wakes: &'static [WakeRole],
     /// Messages that a late subscriber is given.
@@ -76,12 +89,13 @@ pub const MAX_SUBSCRIBERS: usize = 32;
 pub const MAX_NODES: usize = 64;
 
 macro_rules! topics {
-    ($($message:ident, $header:ident, $name:literal, wakes $wakes:expr,
+    ($($message:ident, $header:ident, $name:literal, from $senders:expr, wakes $wakes:expr,
         history $history:literal, buffer $buffer:literal, publishers $publishers:literal;)+) => {
         $(impl Message for $message {
             type Header = $header;
             const TOPIC: Topic = Topic {
                 name: $name,
+                senders: $senders,
                 wakes: $wakes,
                 history: $history,
                 buffer: $buffer,
@@ -97,41 +111,97 @@ macro_rules! topics {
     };
 }
 
+use Senders::{Everybody, Rearm as RearmCommand, Roles};
 use WakeRole::{Controller, Orchestrator, Recorder, Supervisor, Trainer, Vehicle};
 
 topics! {
     // Once a tick. One tick is in flight at a time, so a buffer of 2 loses nothing.
-    Odometry, TickHeader, "odometry", wakes &[Controller, Supervisor],
-        history 0, buffer 2, publishers 1;
-    RawCommand, TickHeader, "raw_command", wakes &[Supervisor],
-        history 0, buffer 2, publishers 1;
-    Command, TickHeader, "command", wakes &[Vehicle],
-        history 0, buffer 2, publishers 1;
-    TrackingError, TickHeader, "tracking_error", wakes &[],
-        history 0, buffer 2, publishers 1;
+    Odometry, TickHeader, "odometry", from Roles(&[Vehicle]),
+        wakes &[Controller, Supervisor], history 0, buffer 2, publishers 1;
+    RawCommand, TickHeader, "raw_command", from Roles(&[Controller]),
+        wakes &[Supervisor], history 0, buffer 2, publishers 1;
+    Command, TickHeader, "command", from Roles(&[Supervisor]),
+        wakes &[Vehicle], history 0, buffer 2, publishers 1;
+    TrackingError, TickHeader, "tracking_error", from Roles(&[Controller]),
+        wakes &[], history 0, buffer 2, publishers 1;
     // Between ticks. The last one is kept for late joiners.
-    DriveRequest, BatchHeader, "drive_request", wakes &[Vehicle, Controller, Supervisor, Recorder],
-        history 1, buffer 2, publishers 1;
-    Zone, BatchHeader, "zone", wakes &[Trainer],
-        history 1, buffer 16, publishers 1;
-    GainSwitch, BatchHeader, "gains", wakes &[Controller],
-        history 1, buffer 16, publishers 1;
-    Credit, BatchHeader, "credit", wakes &[Vehicle],
-        history 1, buffer 2, publishers 2;
-    DriveReport, BatchHeader, "drive_report", wakes &[Orchestrator],
-        history 1, buffer 2, publishers 1;
-    DriveOutcome, BatchHeader, "drive_outcome", wakes &[Trainer],
-        history 1, buffer 2, publishers 1;
-    Proposal, BatchHeader, "proposal", wakes &[Orchestrator],
-        history 1, buffer 2, publishers 1;
-    LearnerProgress, BatchHeader, "learner_progress", wakes &[],
-        history 1, buffer 2, publishers 1;
+    DriveRequest, BatchHeader, "drive_request", from Roles(&[Orchestrator]),
+        wakes &[Vehicle, Controller, Supervisor, Recorder], history 1, buffer 2, publishers 1;
+    Zone, BatchHeader, "zone", from Roles(&[Supervisor]),
+        wakes &[Trainer], history 1, buffer 16, publishers 1;
+    GainSwitch, BatchHeader, "gains", from Roles(&[Trainer]),
+        wakes &[Controller], history 1, buffer 16, publishers 1;
+    Credit, BatchHeader, "credit", from Roles(&[Trainer, Recorder]),
+        wakes &[Vehicle], history 1, buffer 2, publishers 2;
+    DriveReport, BatchHeader, "drive_report", from Roles(&[Controller]),
+        wakes &[Orchestrator], history 1, buffer 2, publishers 1;
+    DriveOutcome, BatchHeader, "drive_outcome", from Roles(&[Orchestrator]),
+        wakes &[Trainer], history 1, buffer 2, publishers 1;
+    Proposal, BatchHeader, "proposal", from Roles(&[Trainer]),
+        wakes &[Orchestrator], history 1, buffer 2, publishers 1;
+    LearnerProgress, BatchHeader, "learner_progress", from Roles(&[Trainer]),
+        wakes &[], history 1, buffer 2, publishers 1;
     // The gate's state and its way back.
-    Safety, BatchHeader, "safety", wakes &[Controller],
-        history 1, buffer 16, publishers 1;
-    Rearm, BatchHeader, "rearm", wakes &[Supervisor],
-        history 0, buffer 2, publishers 16;
+    Safety, BatchHeader, "safety", from Roles(&[Supervisor]),
+        wakes &[Controller], history 1, buffer 16, publishers 1;
+    // By the clock alone: what a law must not lose when its process is replaced.
+    LawState, BatchHeader, "law_state", from Roles(&[Controller]),
+        wakes &[], history 0, buffer 2, publishers 1;
+    KeptLawState, BatchHeader, "kept_law_state", from Roles(&[Supervisor]),
+        wakes &[], history 1, buffer 2, publishers 1;
+    Rearm, BatchHeader, "rearm", from RearmCommand,
+        wakes &[Supervisor], history 0, buffer 2, publishers 16;
     // From everybody; a dead publisher's place is free again only when it was cleaned up.
-    Status, BatchHeader, "status", wakes &[Orchestrator],
-        history 1, buffer 64, publishers 16;
+    Status, BatchHeader, "status", from Everybody,
+        wakes &[Orchestrator], history 1, buffer 64, publishers 16;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The senders as the contract names them.
+    fn told(senders: Senders) -> String {
+        match senders {
+            Roles(roles) => {
+                let names = roles.iter().map(|role| format!("{role:?}").to_lowercase());
+                names.collect::<Vec<_>>().join(", ")
+            }
+            RearmCommand => "`pathtune rearm`".to_owned(),
+            Everybody => "everybody".to_owned(),
+        }
+    }
+
+    #[test]
+    fn the_contract_tells_the_topics_as_they_are() {
+        let contract = include_str!("../CONTRACT.md");
+        let rows: Vec<Vec<&str>> = contract
+            .lines()
+            .skip_while(|line| !line.starts_with("| topic |"))
+            .skip(2)
+            .take_while(|line| line.starts_with('|'))
+            .map(|line| line.trim_matches('|').split('|').map(str::trim).collect())
+            .collect();
+        let mut topics = 0;
+        macro_rules! check {
+            ($message:ty) => {
+                let topic = <$message as Message>::TOPIC;
+                let name = format!("`{}`", topic.name);
+                let row = rows.iter().find(|row| row[0] == name);
+                let row = row.unwrap_or_else(|| panic!("{name} is not in the contract"));
+                let short = |name: &str| {
+                    let name = name.trim_start_matches("pathtune.");
+                    format!("`{}`", name.split('#').next().unwrap_or_default())
+                };
+                assert_eq!(row[1], short(<$message as Layout>::TYPE_NAME), "{name}");
+                let header = short(<<$message as Message>::Header as Layout>::TYPE_NAME);
+                assert_eq!(row[2], header, "{name}");
+                let from = row[3].split('→').next().unwrap_or_default().trim();
+                assert_eq!(from, told(topic.senders), "{name}");
+                topics += 1;
+            };
+        }
+        for_each_topic!(check);
+        assert_eq!(rows.len(), topics, "the contract tells of topics that are none");
+    }
 }

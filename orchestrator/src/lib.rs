@@ -3,46 +3,21 @@
 //! Links no service: it starts processes, by re-executing the binary it is part of or by a user's command.
 //! That is what makes a swap of any of them possible by construction.
 //!
-//! [`sequencer`] and [`restart`] decide, and are pure; [`process`] and `pipeline` act.
+//! The rooms, from what the user types down to what runs:
+//! - [`cli`]: the command line as types.
+//! - [`commands`]: what each command does, from its options to its exit code.
+//! - [`conformance`] and [`bench`]: the two commands that are more than a page.
+//! - [`runs`]: what a run needs around its pipeline: checks, folder, result, and how other terminals find it.
+//! - [`pipeline`]: the processes of one run and the loop that joins them. [`pipeline::sequencer`] and
+//!   [`pipeline::restart`] decide, and are pure; [`pipeline::process`] and [`pipeline::main_loop`] act.
+//! - [`words`]: what is said to the user.
+//!
+//! A room uses those below it, and `pipeline` and `words` know no command.
 
 pub mod bench;
 pub mod cli;
-mod conformance;
-mod cores;
-mod drive;
-mod failure;
-mod gains;
-mod housekeeping;
-mod member;
-mod observers;
-mod pipeline;
-mod preflight;
-mod presets;
-pub mod process;
-mod progress;
-mod rearm;
-mod recovery;
-mod replay;
-pub mod restart;
-mod result;
-pub mod sequencer;
-mod setup;
-mod sweep;
-mod tables;
-mod terminal;
-mod train;
-mod vehicle_file;
-
-pub use bench::bench;
-pub use conformance::conformance;
-pub use drive::drive;
-pub use failure::Failure;
-pub use gains::gains;
-pub use housekeeping::{LivingRun, clean, doctor, living_run, logs, status, stop};
-pub use presets::{print_schema, show_config};
-pub use rearm::rearm;
-pub use replay::{replay, replay_config};
-pub use setup::{Ended, name_files};
-pub use sweep::{grid, validate};
-pub use terminal::{print_failure, print_line, print_usage_error};
-pub use train::train;
+pub mod commands;
+pub mod conformance;
+pub mod pipeline;
+pub mod runs;
+pub mod words;

@@ -2,7 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use ipc_types::{BatchHeader, Command as WireCommand, Odometry, Rearm, Safety, TickHeader, has};
+use ipc_types::{
+    Attempt, BatchHeader, Command as WireCommand, Odometry, Rearm, Safety, TickHeader, has,
+};
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
 use runtime::run::RunNames;
@@ -165,7 +167,8 @@ impl Onlooker {
     }
 
     pub fn rearm(&self) {
-        let header = BatchHeader { run: self.run, sent_ns: now_ns(), ..BatchHeader::default() };
+        let attempt = Attempt::between_batches(self.run);
+        let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
         self.rearms.send(header, 1, |_| Rearm::default()).unwrap();
     }
 

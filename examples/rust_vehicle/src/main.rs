@@ -94,7 +94,7 @@ impl MyVehicle {
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) -> Result<()> {
         (self.waits_for_command, self.held_back, self.held) = (false, false, None);
         self.slots.clear();
-        if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
+        if !header.attempt.is_of(self.run) || requests.is_empty() || requests.len() > MAX_FLEET {
             self.counters.dropped += 1;
             return Ok(());
         }
@@ -111,8 +111,8 @@ impl MyVehicle {
             .into_iter()
             .filter(|(source, _)| !self.realtime && has(flags, *source))
             .collect();
-        let BatchHeader { run, batch, attempt, sent_ns, .. } = header;
-        self.header = TickHeader { run, batch, attempt, ..TickHeader::default() };
+        let BatchHeader { attempt, sent_ns, .. } = header;
+        self.header = TickHeader { attempt, ..TickHeader::default() };
         self.zero_ns = now_ns();
         if self.realtime && self.is_restarted && sent_ns < self.started_ns {
             // Restarted during a drive: it goes on with that, from where this car now stands, which is the start.
@@ -128,7 +128,7 @@ impl MyVehicle {
             return Ok(());
         }
         self.header.odometry_sent_ns = now_ns();
-        (self.counters.batch, self.counters.tick) = (self.header.batch, self.header.tick);
+        (self.counters.batch, self.counters.tick) = (self.header.attempt.batch, self.header.tick);
         let slots = &self.slots;
         let observe = |index: usize| slots[index].car.observe(slots[index].status);
         self.odometry.send(self.header, slots.len(), observe)?;
@@ -142,8 +142,7 @@ impl MyVehicle {
         // All of them: the newest one may be another recorder's.
         while let Some(message) = self.credits.receive()? {
             heard = true;
-            let header = message.header();
-            let fits = self.is_of_batch((header.run, header.batch, header.attempt));
+            let fits = message.header().attempt == self.header.attempt;
             let Some(credit) = message.items().first().filter(|_| fits) else {
                 self.counters.dropped += 1;
                 continue;
@@ -160,17 +159,13 @@ impl MyVehicle {
         Ok(heard)
     }
 
-    fn is_of_batch(&self, of: (u64, u64, u32)) -> bool {
-        of == (self.header.run, self.header.batch, self.header.attempt)
-    }
-
     fn hear(&mut self, header: TickHeader, commands: &[Command]) -> Result<()> {
         let fits_tick = if self.realtime {
             self.held.is_none_or(|(tick, _)| header.tick >= tick) && header.tick <= self.header.tick
         } else {
             self.waits_for_command && header.tick == self.header.tick
         };
-        let is_ours = self.is_of_batch((header.run, header.batch, header.attempt));
+        let is_ours = header.attempt == self.header.attempt;
         if !(fits_tick && is_ours) || commands.len() != self.slots.len() {
             self.counters.dropped += 1;
             return Ok(());

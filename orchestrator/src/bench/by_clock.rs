@@ -15,10 +15,10 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::rings::Killed;
-use crate::Failure;
-use crate::housekeeping::RunState;
-use crate::tables::table_of;
-use crate::terminal::{say, tell};
+use crate::commands::housekeeping::RunState;
+use crate::words::Failure;
+use crate::words::tables::table_of;
+use crate::words::terminal::{say, tell};
 
 /// Ticks before a drive is looked at: the processes have just started.
 const SETTLING: Duration = Duration::from_secs(1);

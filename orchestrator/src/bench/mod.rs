@@ -10,10 +10,10 @@ use serde_json::{Value, json};
 
 use self::pipelines::{pipeline, pipelines, waiting};
 use self::rings::{Transport, calls, ring};
-use crate::Failure;
 use crate::cli::BenchArgs;
-use crate::tables::table_of;
-use crate::terminal::{say, tell};
+use crate::words::Failure;
+use crate::words::tables::table_of;
+use crate::words::terminal::{say, tell};
 
 /// What all of them drive, plain calls as well: a tick costs more where the path is curved. Drives of half a minute, such
 /// that what lies between them hardly counts.

@@ -15,7 +15,7 @@ use tempfile::TempDir;
 
 use super::rings::Killed;
 use super::{MANEUVER, Timing, spread};
-use crate::housekeeping::RunState;
+use crate::commands::housekeeping::RunState;
 
 /// A pipeline that makes nothing but ticks: the sets of a grid, one drive each.
 struct Sweep {

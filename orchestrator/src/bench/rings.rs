@@ -12,7 +12,7 @@ use runtime::run::RunNames;
 use runtime::{Attachment, Bus, Wait};
 
 use super::Timing;
-use crate::cores::CoreClaim;
+use crate::pipeline::cores::CoreClaim;
 
 /// Rounds of a ring that are measured at a time.
 const ROUNDS: u64 = 50_000;

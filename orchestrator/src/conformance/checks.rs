@@ -33,8 +33,8 @@ checks! {
         "send Status every 100 ms, also while a drive is under way and while nothing comes";
     "answers_request", "answers a request by odometry within 2 s", "publish tick 0 behind each DriveRequest";
     "tick_zero", "a drive begins with tick 0", "count ticks from 0 behind each DriveRequest";
-    "names_batch", "odometry names run and batch of the request", "copy run and batch of the request into the TickHeader";
-    "names_attempt", "odometry names the attempt of the request", "copy the attempt of the request into the TickHeader";
+    "names_batch", "odometry names run and batch of the request", "copy attempt.run and attempt.batch of the request into the TickHeader";
+    "names_attempt", "odometry names the attempt of the request", "copy the whole attempt of the request's header into the TickHeader";
     "elements", "one element a slot, in every odometry", "publish as many elements as the request holds";
     "start_pose", "the tracked point stands at the request's start",
         "reset on each request; poses are those of the tracked point, in metres and radians of the map frame";

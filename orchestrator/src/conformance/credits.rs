@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use ipc_types::{BatchHeader, Command, Credit, DriveRequest};
+use ipc_types::{Command, Credit, DriveRequest};
 
 use super::checks::Findings;
 use super::stand::{ANSWER, Seen, Stand};
-use crate::Failure;
+use crate::words::Failure;
 
 /// Waits for the credits of whoever records.
 pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
@@ -38,7 +38,8 @@ fn recorded(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
         return Ok(());
     }
     let header = stand.header;
-    let of_another = BatchHeader { attempt: header.attempt + 1, ..header };
+    let mut of_another = header;
+    of_another.attempt.attempt += 1;
     stand.send_credit(of_another, DriveRequest::RECORDED, 100)?;
     let attempt_is_quiet = stand.is_silent()?;
     stand.send_credit(header, DriveRequest::LOGGED, 100)?;

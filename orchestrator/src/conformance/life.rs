@@ -9,8 +9,8 @@ use runtime::run::segments_of;
 
 use super::checks::Findings;
 use super::stand::{SILENCE, Stand};
-use crate::Failure;
-use crate::process::describe;
+use crate::pipeline::process::describe;
+use crate::words::Failure;
 
 const READY_WITHIN_NS: u64 = 5_000_000_000;
 /// A vehicle that is late is waited for a little longer, so that the rest can be looked at.
@@ -30,8 +30,9 @@ pub(super) fn becomes_ready(stand: &mut Stand, to: &mut Findings) -> Result<bool
     let took_ns = now_ns() - stand.started_ns;
     to.note("ready", took_ns <= READY_WITHIN_NS, format!("after {:.2} s", took_ns as f64 / 1e9));
     let is_vehicle = status.role == Status::VEHICLE && status.state == Status::READY;
-    let is_of_run = header.run == stand.attachment.names.run;
-    let seen = format!("role {}, state {}, run {:016x}", status.role, status.state, header.run);
+    let is_of_run = header.attempt.is_of(stand.attachment.names.run);
+    let run = header.attempt.run;
+    let seen = format!("role {}, state {}, run {run:016x}", status.role, status.state);
     to.note("role", is_vehicle && is_of_run, seen);
     to.note(
         "incarnation",
@@ -85,7 +86,8 @@ pub(super) fn restarts(stand: &mut Stand, to: &mut Findings) -> Result<(), Failu
         if stand.realtime { by_time(stand, first.header.odometry_sent_ns) } else { 0 },
     );
     let near = if stand.realtime { 5 } else { 0 };
-    let seen = format!("attempt {}, tick {tick}, where {expected} is due", first.header.attempt);
+    let seen =
+        format!("attempt {}, tick {tick}, where {expected} is due", first.header.attempt.attempt);
     to.note("joins", tick.abs_diff(expected) <= near, seen);
     Ok(())
 }

@@ -26,10 +26,11 @@ use runtime::{Attachment, Wait};
 use serde_json::json;
 
 use crate::cli::ConformanceArgs;
-use crate::pipeline::Interrupts;
-use crate::process::last_lines;
-use crate::terminal::say;
-use crate::{Failure, preflight};
+use crate::pipeline::main_loop::Interrupts;
+use crate::pipeline::process::last_lines;
+use crate::runs::preflight;
+use crate::words::Failure;
+use crate::words::terminal::say;
 use checks::{Findings, Verdict};
 use stand::{MAX_SLOTS, Stand};
 

@@ -6,7 +6,7 @@ use super::checks::Findings;
 use super::protocol::{STANDS_MPS, apart_m, begins_well};
 use super::realtime;
 use super::stand::{Seen, Stand};
-use crate::Failure;
+use crate::words::Failure;
 
 /// Slow enough for a yard.
 const SPEED_MPS: f64 = 1.5;

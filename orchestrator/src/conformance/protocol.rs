@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use ipc_types::{Command, Odometry, TickHeader, WirePose, has};
+use ipc_types::{Attempt, Command, Odometry, TickHeader, WirePose, has};
 
 use super::checks::Findings;
 use super::stand::{ANSWER, MAX_SLOTS, SILENCE, Seen, Stand};
-use crate::Failure;
+use crate::words::Failure;
 
 /// How near to its start a vehicle must stand: a real one is put there by hand.
 const NEAR_M: f64 = 0.5;
@@ -28,13 +28,14 @@ pub(super) fn begins(stand: &mut Stand, to: &mut Findings) -> Result<bool, Failu
     let waited_ms = first.heard_ns.saturating_sub(stand.header.sent_ns) / 1_000_000;
     to.note("answers_request", true, format!("after {waited_ms} ms"));
     let (header, wanted) = (first.header, stand.header);
+    let (named, asked) = (header.attempt, wanted.attempt);
     let names_batch = to.note(
         "names_batch",
-        (header.run, header.batch) == (wanted.run, wanted.batch),
-        format!("run {:016x}, batch {}", header.run, header.batch),
+        (named.run, named.batch) == (asked.run, asked.batch),
+        format!("run {:016x}, batch {}", named.run, named.batch),
     );
-    let seen = format!("{} of {}", header.attempt, wanted.attempt);
-    let names_attempt = to.note("names_attempt", header.attempt == wanted.attempt, seen);
+    let seen = format!("{} of {}", named.attempt, asked.attempt);
+    let names_attempt = to.note("names_attempt", named.attempt == asked.attempt, seen);
     let stamped = header.odometry_sent_ns >= wanted.sent_ns && header.applied_ns == 0;
     let seen = format!("sent {}, applied {}", header.odometry_sent_ns, header.applied_ns);
     to.note("first_stamps", stamped, seen);
@@ -111,14 +112,20 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
     fleet(stand, to)
 }
 
+/// The header, as if of another attempt.
+fn of(mut header: TickHeader, change: impl FnOnce(&mut Attempt)) -> TickHeader {
+    change(&mut header.attempt);
+    header
+}
+
 /// Makes of a good header one that is not as it should be, with a number of elements.
 pub(super) type Spoil = fn(TickHeader) -> (TickHeader, usize);
 
 /// Commands for a drive of one slot that are not to be obeyed.
 pub(super) const SPOILT: [(&str, Spoil); 7] = [
-    ("drops_run", |header| (TickHeader { run: header.run ^ 2, ..header }, 1)),
-    ("drops_batch", |header| (TickHeader { batch: header.batch - 1, ..header }, 1)),
-    ("drops_attempt", |header| (TickHeader { attempt: header.attempt + 1, ..header }, 1)),
+    ("drops_run", |header| (of(header, |attempt| attempt.run ^= 2), 1)),
+    ("drops_batch", |header| (of(header, |attempt| attempt.batch -= 1), 1)),
+    ("drops_attempt", |header| (of(header, |attempt| attempt.attempt += 1), 1)),
     ("drops_old_tick", |header| (TickHeader { tick: header.tick - 1, ..header }, 1)),
     ("drops_old_tick", |header| (TickHeader { tick: 0, ..header }, 1)),
     ("drops_early_tick", |header| (TickHeader { tick: header.tick + 1, ..header }, 1)),
@@ -222,7 +229,7 @@ pub(super) fn begins_anew(stand: &mut Stand, to: &mut Findings) -> Result<(), Fa
     let first = stand.first(Duration::from_secs(2))?;
     let begins = first.as_ref().is_some_and(|first| first.header.tick == 0);
     let seen = first.map_or("nothing of attempt 2".to_owned(), |first| {
-        format!("tick {} of attempt {}", first.header.tick, first.header.attempt)
+        format!("tick {} of attempt {}", first.header.tick, first.header.attempt.attempt)
     });
     to.note("reissue", begins, seen);
     Ok(())

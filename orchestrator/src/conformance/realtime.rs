@@ -8,7 +8,7 @@ use super::checks::Findings;
 use super::motion::{to_drive, until_it_moves};
 use super::protocol::{self, SPOILT, STANDS_MPS};
 use super::stand::{ANSWER, Seen, Stand};
-use crate::Failure;
+use crate::words::Failure;
 
 /// What does not move the vehicle.
 pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {

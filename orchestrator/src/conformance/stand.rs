@@ -7,14 +7,15 @@ use std::time::Duration;
 use config::RunConfig;
 use config::launch::ProcessEntry;
 use ipc_types::{
-    BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WirePose, has,
+    Attempt, BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WirePose,
+    has,
 };
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Inlet, Outlet};
 
-use crate::Failure;
-use crate::pipeline::Interrupts;
-use crate::process::{Process, clean_up_behind, describe};
+use crate::pipeline::main_loop::Interrupts;
+use crate::pipeline::process::{Process, clean_up_behind, describe};
+use crate::words::Failure;
 
 /// The most slots that are driven at once.
 pub(super) const MAX_SLOTS: usize = 16;
@@ -121,7 +122,10 @@ impl Stand {
             longest_gap_ns: 0,
             heard: VecDeque::new(),
             oddities: Oddities::default(),
-            header: BatchHeader { run: attachment.names.run, ..BatchHeader::default() },
+            header: BatchHeader {
+                attempt: Attempt::between_batches(attachment.names.run),
+                ..BatchHeader::default()
+            },
             attachment,
             slots: 0,
             last: TickHeader::default(),
@@ -204,18 +208,17 @@ impl Stand {
                 [x_m, y_m, yaw_rad, item.speed_mps, item.yaw_rate_radps, item.steering_rad];
             let truth = [item.truth.x_m, item.truth.y_m, item.truth.yaw_rad];
             let is_finite = numbers.iter().chain(&truth).all(|number| number.is_finite());
-            if !is_finite || item.reserved != 0 || header.reserved != 0 {
+            if !is_finite || item.reserved != 0 || header.attempt.reserved != 0 {
                 let seen = format!("tick {tick}: {item:?}");
                 self.oddities.not_finite.get_or_insert(seen);
             }
         }
-        let of_batch = (header.batch, header.attempt) == (self.header.batch, self.header.attempt);
-        if of_batch && items.len() != self.slots {
+        if names_same(header.attempt, self.header.attempt) && items.len() != self.slots {
             let seen = format!("tick {tick}: {} elements of {}", items.len(), self.slots);
             self.oddities.elements.get_or_insert(seen);
         }
         let (before, now) = (self.last, now_ns());
-        let follows = (before.batch, before.attempt) == (header.batch, header.attempt);
+        let follows = names_same(before.attempt, header.attempt);
         let sent_ns = header.odometry_sent_ns;
         if sent_ns > now || now - sent_ns > 5_000_000_000 {
             let seen = format!("tick {tick}: {sent_ns}, heard at {now}");
@@ -272,14 +275,14 @@ impl Stand {
 
     /// Asks for a new batch.
     pub(super) fn request(&mut self, slots: usize, flags: u32) -> Result<(), Failure> {
-        self.header.batch += 1;
-        self.header.attempt = 1;
+        self.header.attempt.batch += 1;
+        self.header.attempt.attempt = 1;
         self.send_request(slots, flags)
     }
 
     /// Asks for the batch again.
     pub(super) fn reissue(&mut self, flags: u32) -> Result<(), Failure> {
-        self.header.attempt += 1;
+        self.header.attempt.attempt += 1;
         self.send_request(self.slots, flags)
     }
 
@@ -304,12 +307,12 @@ impl Stand {
 
     /// The first odometry of the batch, and of no other.
     pub(super) fn first(&mut self, at_most: Duration) -> Result<Option<Seen>, Failure> {
-        let of = (self.header.batch, self.header.attempt);
+        let of = self.header.attempt;
         self.wait(at_most, |stand| {
-            stand.heard.iter().any(|seen| (seen.header.batch, seen.header.attempt) == of)
+            stand.heard.iter().any(|seen| names_same(seen.header.attempt, of))
         })?;
         while let Some(seen) = self.heard.pop_front() {
-            if (seen.header.batch, seen.header.attempt) == of {
+            if names_same(seen.header.attempt, of) {
                 return Ok(Some(seen));
             }
         }
@@ -413,4 +416,10 @@ impl Stand {
         let rose = self.wait(Duration::from_millis(600), |stand| count(&stand.told()) > before)?;
         Ok((rose, count(&self.told()).saturating_sub(before)))
     }
+}
+
+/// Whether both name the same attempt at the same batch. Of which run it says it is, and what lies in the padding, are
+/// checks of their own.
+fn names_same(a: Attempt, b: Attempt) -> bool {
+    (a.batch, a.attempt) == (b.batch, b.attempt)
 }

@@ -3,8 +3,8 @@
 use anyhow::Result;
 use config::{Gains, MAX_FLEET, RunConfig};
 use ipc_types::{
-    BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, Odometry, RawCommand, Safety,
-    TickHeader, TrackingError, WakeRole, WirePose, Zone, has,
+    Attempt, BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, KeptLawState, LawState,
+    Odometry, RawCommand, Safety, TickHeader, TrackingError, WakeRole, WirePose, Zone, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
@@ -29,7 +29,10 @@ struct Controller {
     odometry: Inlet<Odometry>,
     zones: Inlet<Zone>,
     gains: Inlet<GainSwitch>,
+    /// Made before the ear on `safety`: who has heard that has heard this.
+    kept_law_states: Inlet<KeptLawState>,
     safety: Inlet<Safety>,
+    law_states: Outlet<LawState>,
     raw_commands: Outlet<RawCommand>,
     errors: Outlet<TrackingError>,
     reports: Outlet<DriveReport>,
@@ -47,16 +50,21 @@ struct Controller {
     /// Whether the vehicle paces by the clock: then nobody is waited for, and ticks may be missing.
     real_time: bool,
     started_ns: u64,
+    /// The laws' states, as the supervisor has kept them for a controller that joins a drive; empty if it has told none.
+    kept: Vec<KeptLawState>,
     /// The batch that is driven, with the tick that comes next; none between batches.
     driving: Option<(BatchHeader, u64)>,
-    /// The last batch and attempt that was asked for.
-    last: (u64, u32),
+    /// The last attempt that was asked for.
+    last: Attempt,
     counters: Counters,
 }
 
 /// Ticks for which a restarted controller waits for somebody who knows how the drive stands: the supervisor tells it
 /// at least once a tick, unless it was restarted, too.
 const JOINS_WITHIN: u32 = 20;
+
+/// More than any drive lasts.
+const LONGEST_TICKS: f64 = 1e9;
 
 struct Slot {
     drive: DriveController,
@@ -84,13 +92,13 @@ struct Answer {
 #[derive(Debug, Clone, Copy)]
 struct Clock {
     /// Ticks that it has run since it last started from rest.
-    phase: u64,
+    phase_ticks: f64,
     /// The tick at which it had run so long; none before the first.
     at_tick: Option<u64>,
-    /// The vehicle is being stopped, or stands: the clock does, too, and starts from rest behind it.
+    /// Its rate, as the supervisor tells it.
+    rate: f64,
+    /// The vehicle is being stopped, or stands: behind that, the clock starts from rest.
     frozen: bool,
-    /// The gate slows the vehicle down for a moment: the clock waits for it.
-    held: bool,
     /// The drive had begun before this process did: ticks that are still waited for somebody who knows how it stands.
     joins_within: Option<u32>,
 }
@@ -102,7 +110,9 @@ impl Controller {
             odometry: bus.inlet()?,
             zones: bus.inlet()?,
             gains: bus.inlet()?,
+            kept_law_states: bus.inlet()?,
             safety: bus.inlet()?,
+            law_states: bus.outlet()?,
             raw_commands: bus.outlet()?,
             errors: bus.outlet()?,
             reports: bus.outlet()?,
@@ -114,19 +124,21 @@ impl Controller {
             scheduled: false,
             real_time: false,
             started_ns,
+            kept: Vec::new(),
             driving: None,
-            last: (0, 0),
+            last: Attempt::between_batches(run),
             counters: Counters::default(),
         })
     }
 
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) {
         self.driving = None;
-        if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
+        if !header.attempt.is_of(self.run) || requests.is_empty() || requests.len() > MAX_FLEET {
             self.counters.dropped += 1;
             return;
         }
         self.requested = requests.to_vec();
+        self.kept.clear();
         self.slots.clear();
         self.slots.extend(requests.iter().map(|request| Slot::new(&self.fresh, request)));
         self.real_time = requests.iter().any(|it| has(it.flags, DriveRequest::REAL_TIME));
@@ -137,15 +149,14 @@ impl Controller {
         }
         self.scheduled = requests.iter().any(|it| has(it.flags, DriveRequest::SCHEDULED));
         self.driving = Some((header, 0));
-        self.last = (header.batch, header.attempt);
+        self.last = header.attempt;
     }
 
     fn answer(&mut self, header: TickHeader, odometry: &[Odometry]) -> Result<()> {
         let received_ns = now_ns();
         let expected = self.driving.is_some_and(|(batch, tick)| {
             let is_next = if self.real_time { header.tick >= tick } else { header.tick == tick };
-            (header.run, header.batch, header.attempt) == (self.run, batch.batch, batch.attempt)
-                && is_next
+            header.attempt == batch.attempt && is_next
         });
         if self.real_time && self.driving.is_none() {
             // A vehicle goes on behind the end of its drive.
@@ -158,19 +169,30 @@ impl Controller {
         if self.real_time && !self.hear_safety(header.tick, odometry)? {
             return Ok(());
         }
-        let Self { slots, counters, real_time, .. } = self;
+        let real_time = self.real_time;
+        let Self { slots, counters, .. } = self;
         let mut sent_ns = 0;
         // In one go for each vehicle: a fleet does not fit into the nearest cache.
         let answer = |index: usize| {
             let slot = &mut slots[index];
-            if !*real_time {
-                slot.clock.phase = header.tick;
+            if !real_time {
+                slot.clock.phase_ticks = header.tick as f64;
             }
             let believed = slot.tick(&odometry[index]);
             counters.rejected += u64::from(!believed);
             slot.raw_command()
         };
-        self.raw_commands.write(odometry.len(), answer)?.send(|now_ns| {
+        let written = self.raw_commands.write(odometry.len(), answer)?;
+        if real_time {
+            // Before the raw command: who has that has this.
+            let (tick, sent_ns) = (header.tick, now_ns());
+            let header = BatchHeader { attempt: header.attempt, sent_ns, ..BatchHeader::default() };
+            let slots = &self.slots;
+            self.law_states.send_quietly(header, slots.len(), |index| {
+                slots[index].law_state(tick, index as u32)
+            })?;
+        }
+        written.send(|now_ns| {
             sent_ns = now_ns;
             TickHeader { controller_received_ns: received_ns, controller_sent_ns: now_ns, ..header }
         })?;
@@ -185,7 +207,7 @@ impl Controller {
         }
         if let Some((batch, tick)) = &mut self.driving {
             *tick = header.tick + 1;
-            self.counters.batch = batch.batch;
+            self.counters.batch = batch.attempt.batch;
             self.counters.tick = *tick;
         }
         if slots.iter().all(|slot| slot.ended.is_some()) {
@@ -201,9 +223,7 @@ impl Controller {
         let Some((batch, tick)) = self.driving.filter(|_| self.scheduled) else {
             return Ok(false);
         };
-        let is_of_batch = |header: BatchHeader| {
-            (header.run, header.batch, header.attempt) == (batch.run, batch.batch, batch.attempt)
-        };
+        let is_of_batch = |header: BatchHeader| header.attempt == batch.attempt;
         while let Some(zones) = self.zones.receive()? {
             for zone in zones.items().iter().filter(|_| is_of_batch(zones.header())) {
                 let index = zone.slot as usize;
@@ -221,8 +241,7 @@ impl Controller {
                     self.counters.dropped += 1;
                     continue;
                 };
-                let ipc_types::Gains { kv, kl, ks, ki } = switch.gains;
-                let gains = Gains { kv, kl, ks, ki };
+                let gains = Gains::from_parameters(&switch.parameters);
                 if config::check_gains(gains).is_err() {
                     self.counters.rejected += 1;
                     continue;
@@ -230,6 +249,7 @@ impl Controller {
                 slot.awaited = None;
                 slot.drive.switch_gains(gains);
                 let (slot, zone) = (switch.slot, switch.zone);
+                let Gains { kv, kl, ks, ki } = gains;
                 tracing::info!(tick, slot, zone, kv, kl, ks, ki, "gains switched");
             }
         }
@@ -242,20 +262,25 @@ impl Controller {
     /// Hears what the gate does: whether a reference stands still, and how a drive stands that is joined. Whether this
     /// tick can be answered.
     fn hear_safety(&mut self, tick: u64, odometry: &[Odometry]) -> Result<bool> {
-        let (run, batch, attempt) = (self.run, self.last.0, self.last.1);
+        let (attempt, len) = (self.last, self.slots.len());
+        let is_ours = |of: BatchHeader, items: usize| of.attempt == attempt && items == len;
         let mut newest = None;
         while let Some(message) = self.safety.receive()? {
-            let header = message.header();
-            if (header.run, header.batch, header.attempt) == (run, batch, attempt)
-                && message.items().len() == self.slots.len()
-            {
+            if is_ours(message.header(), message.items().len()) {
                 newest = Some(message);
             }
+        }
+        // Only a drive that is joined is in want of it.
+        let joins = self.slots.iter().any(|slot| slot.clock.joins_within.is_some());
+        let kept = if joins { self.kept_law_states.receive_newest()? } else { None };
+        if let Some(kept) = kept.filter(|it| is_ours(it.header(), it.items().len())) {
+            self.kept = kept.items().to_vec();
         }
         let mut ready = true;
         for (index, (slot, odometry)) in self.slots.iter_mut().zip(odometry).enumerate() {
             let safety = newest.as_ref().map(|message| message.items()[index]);
-            ready &= slot.follow(tick, safety, pose(odometry.measured));
+            let filter_rad = self.kept.get(index).and_then(filter_rad);
+            ready &= slot.follow(tick, safety, filter_rad, pose(odometry.measured));
         }
         Ok(ready)
     }
@@ -272,8 +297,7 @@ impl Controller {
 impl Slot {
     fn new(fresh: &DriveController, request: &DriveRequest) -> Self {
         let mut drive = fresh.clone();
-        let ipc_types::Gains { kv, kl, ks, ki } = request.gains;
-        drive.reset(Gains { kv, kl, ks, ki }, request.ticks);
+        drive.reset(Gains::from_parameters(&request.parameters), request.ticks);
         let start = pose(request.start);
         Self {
             drive,
@@ -284,25 +308,34 @@ impl Slot {
             joined: false,
             awaited: None,
             clock: Clock {
-                phase: 0,
+                phase_ticks: 0.0,
                 at_tick: None,
+                rate: 1.0,
                 frozen: false,
-                held: false,
                 joins_within: None,
             },
         }
     }
 
     /// Lets the reference's clock run to `tick`, or stand still, as the gate says. Whether the tick can be answered: a
-    /// drive that was joined has to wait until somebody has told how it stands.
-    fn follow(&mut self, tick: u64, safety: Option<Safety>, measured: Pose) -> bool {
+    /// drive that was joined has to wait until somebody has told how it stands. `filter_rad` is where the law's filter
+    /// goes on then, if that was kept.
+    fn follow(
+        &mut self,
+        tick: u64,
+        safety: Option<Safety>,
+        filter_rad: Option<f64>,
+        measured: Pose,
+    ) -> bool {
         let clock = &mut self.clock;
         if let Some(left) = clock.joins_within {
             match safety {
                 Some(it) if it.has_reference != 0 && it.origin_m.is_finite() => {
-                    self.drive.join(it.origin_m, finite_or_zero(it.steering_rad));
+                    let steering_rad = finite_or_zero(it.steering_rad);
+                    self.drive.join(it.origin_m, filter_rad.unwrap_or(steering_rad));
                     clock.frozen = is_latched(it.state);
-                    (clock.phase, clock.at_tick) = (it.phase.into(), Some(it.tick));
+                    clock.phase_ticks = finite_or_zero(it.phase_ticks).clamp(0.0, LONGEST_TICKS);
+                    clock.at_tick = Some(it.tick);
                 }
                 // The supervisor knows no more than we do: it has been restarted, too.
                 _ if left == 0 => {
@@ -316,22 +349,25 @@ impl Slot {
             }
             clock.joins_within = None;
             self.joined = true;
-            tracing::info!(tick, phase = clock.phase, frozen = clock.frozen, "joined the drive");
+            tracing::info!(
+                tick,
+                phase_ticks = clock.phase_ticks,
+                frozen = clock.frozen,
+                "joined the drive"
+            );
         } else if let Some(it) = safety {
             let frozen = is_latched(it.state);
             if clock.frozen && !frozen {
                 let steering_rad = finite_or_zero(it.steering_rad);
-                self.drive.restart(clock.phase, measured, steering_rad);
-                (clock.phase, clock.at_tick) = (0, Some(tick));
+                self.drive.restart(clock.whole_ticks(), measured, steering_rad);
+                (clock.phase_ticks, clock.at_tick) = (0.0, Some(tick));
                 tracing::info!(tick, from_m = self.drive.origin_m(), "rearmed");
             }
             clock.frozen = frozen;
         }
-        clock.held = safety.map_or(clock.held, |it| it.state == Safety::DEGRADED);
+        clock.rate = safety.map_or(clock.rate, |it| finite_or_zero(it.clock_rate).max(0.0));
         let since = clock.at_tick.map_or(tick, |at| tick.saturating_sub(at));
-        if !(clock.frozen || clock.held) {
-            clock.phase += since;
-        }
+        clock.phase_ticks += clock.rate * since as f64;
         clock.at_tick = Some(tick);
         true
     }
@@ -356,7 +392,7 @@ impl Slot {
             seen = self.seen;
         }
         let Decision { command, error, reference_along_m, ended } =
-            self.drive.tick(self.clock.phase, seen);
+            self.drive.tick(self.clock.whole_ticks(), seen);
         self.answer = Answer { command, error, reference_along_m };
         self.ended = ended.map(Box::new);
         believed
@@ -366,7 +402,7 @@ impl Slot {
         let Some(ended) = &self.ended else { return DriveReport::default() };
         let Ended { metrics, trace } = **ended;
         DriveReport {
-            gains: request.gains,
+            parameters: request.parameters,
             seed: request.seed,
             ticks: metrics.ticks,
             steering_limited_ticks: metrics.steering_limited_ticks,
@@ -377,6 +413,12 @@ impl Slot {
             along_mse_m2: metrics.along_mse_m2,
             cross_mse_m2: metrics.cross_mse_m2,
             max_abs_cross_m: metrics.max_abs_cross_m,
+            path_mean_m: 0.0,
+            path_p95_m: 0.0,
+            path_max_m: 0.0,
+            progress: 0.0,
+            steering_travel_radps: 0.0,
+            lateral_acceleration_max_mps2: 0.0,
             learner: request.learner,
             step: request.step,
             reason: match metrics.reason {
@@ -399,9 +441,9 @@ impl Slot {
             steering_rad: command.steering_rad,
             reference_along_m: self.answer.reference_along_m,
             origin_m: self.drive.origin_m(),
-            // A drive has at most a million ticks.
-            phase: self.clock.phase as u32,
+            phase_ticks: self.clock.phase_ticks,
             flags,
+            reserved: 0,
         }
     }
 
@@ -412,8 +454,29 @@ impl Slot {
             cross_track_m: error.cross_track_m,
             heading_rad: error.heading_rad,
             reference_along_m: self.answer.reference_along_m,
+            path_distance_m: 0.0,
         }
     }
+
+    /// What the law must not lose if this process is replaced: the state of its filter, which is the angle that it
+    /// wanted last.
+    fn law_state(&self, tick: u64, slot: u32) -> LawState {
+        let mut state = LawState { tick, slot, count: 1, ..LawState::default() };
+        state.numbers[0] = self.answer.command.steering_rad;
+        state
+    }
+}
+
+impl Clock {
+    /// The drive counts whole ticks.
+    fn whole_ticks(&self) -> u64 {
+        self.phase_ticks as u64
+    }
+}
+
+/// The state of the law's filter, if one was kept.
+fn filter_rad(kept: &KeptLawState) -> Option<f64> {
+    Some(kept.numbers[0]).filter(|rad| kept.count == 1 && rad.is_finite())
 }
 
 fn is_latched(state: u32) -> bool {
@@ -457,7 +520,7 @@ impl Service for Controller {
             (None, None) => return Ok(false),
         };
         let header = odometry.header();
-        let is_early = header.run == self.run && (header.batch, header.attempt) > self.last;
+        let is_early = header.attempt.is_ahead_of(&self.last);
         if is_early || self.awaits_gains()? {
             self.held = Some(odometry);
             // What it waits for may be here already, and nobody wakes us for it again.
@@ -488,19 +551,73 @@ mod tests {
         let (odometry, requests) = (bus.outlet::<Odometry>().unwrap(), bus.outlet().unwrap());
         let answers = bus.observe::<RawCommand>().unwrap();
 
-        let tick = TickHeader { run: names.run, batch: 1, attempt: 1, ..TickHeader::default() };
+        let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
+        let tick = TickHeader { attempt, ..TickHeader::default() };
         odometry.send(tick, 1, |_| Odometry::default()).unwrap();
         // News, although there is nothing to be done: the request may have come meanwhile, and its wake-up is over.
         assert!(controller.poll().unwrap());
         assert!(!controller.poll().unwrap());
-        let request =
-            BatchHeader { run: names.run, batch: 1, attempt: 1, ..BatchHeader::default() };
+        let request = BatchHeader { attempt, ..BatchHeader::default() };
         requests.send(request, 1, |_| DriveRequest { ticks, ..DriveRequest::default() }).unwrap();
         assert!(controller.poll().unwrap() && answers.receive().unwrap().is_none());
         assert!(controller.poll().unwrap());
-        assert_eq!(answers.receive().unwrap().unwrap().header().batch, 1);
+        assert_eq!(answers.receive().unwrap().unwrap().header().attempt.batch, 1);
         assert!(!controller.poll().unwrap());
         drop((controller, odometry, requests, answers, bus));
         names.remove();
+    }
+
+    #[test]
+    fn a_controller_that_joins_a_drive_resumes_the_filter_that_was_kept() {
+        for kept_rad in [None, Some(0.25)] {
+            let names = RunNames::create().unwrap();
+            let bus = Bus::create(&names, 1).unwrap();
+            let config = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+            let ticks = config.ticks();
+            let mut controller = Controller::new(&bus, config, names.run, now_ns()).unwrap();
+            let (odometry, requests) = (bus.outlet().unwrap(), bus.outlet().unwrap());
+            let (kept_law_states, safety) = (bus.outlet().unwrap(), bus.outlet().unwrap());
+            let answers = bus.observe::<RawCommand>().unwrap();
+            let states = bus.observe::<LawState>().unwrap();
+
+            let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
+            // It was asked for before this controller began.
+            let header = BatchHeader { attempt, sent_ns: 1, ..BatchHeader::default() };
+            // The filter alone: each tick halves its angle.
+            let gains = Gains { ki: 0.5, ..Gains::default() };
+            let request = DriveRequest {
+                parameters: gains.to_parameters(),
+                ticks,
+                flags: DriveRequest::REAL_TIME,
+                ..DriveRequest::default()
+            };
+            requests.send(header, 1, |_| request).unwrap();
+            assert!(controller.poll().unwrap());
+            if let Some(rad) = kept_rad {
+                let mut kept = KeptLawState { tick: 6, count: 1, ..KeptLawState::default() };
+                kept.numbers[0] = rad;
+                kept_law_states.send(header, 1, |_| kept).unwrap();
+            }
+            let stands = Safety {
+                tick: 6,
+                steering_rad: 0.125,
+                phase_ticks: 6.0,
+                clock_rate: 1.0,
+                has_reference: 1,
+                ..Safety::default()
+            };
+            safety.send(header, 1, |_| stands).unwrap();
+            let tick = TickHeader { attempt, tick: 8, ..TickHeader::default() };
+            odometry.send(tick, 1, |_| Odometry::default()).unwrap();
+            assert!(controller.poll().unwrap());
+            let answer = answers.receive().unwrap().unwrap().items()[0];
+            let steering_rad = 0.5 * kept_rad.unwrap_or(stands.steering_rad);
+            assert_eq!((answer.steering_rad, answer.phase_ticks), (steering_rad, 8.0));
+            let state = states.receive().unwrap().unwrap().items()[0];
+            assert_eq!((state.tick, state.slot, state.count), (8, 0, 1));
+            assert_eq!(state.numbers[0], steering_rad);
+            drop((controller, odometry, requests, kept_law_states, safety, answers, states, bus));
+            names.remove();
+        }
     }
 }

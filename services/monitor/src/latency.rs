@@ -160,7 +160,7 @@ impl Waiting {
     /// The header of a tick of the batch and attempt that `like` names.
     fn take(&mut self, like: TickHeader, tick: u64) -> Option<TickHeader> {
         let place = &mut self.places[tick as usize % WAITING];
-        place.take_if(|it| (it.batch, it.attempt, it.tick) == (like.batch, like.attempt, tick))
+        place.take_if(|it| (it.attempt, it.tick) == (like.attempt, tick))
     }
 }
 
@@ -215,7 +215,7 @@ impl Latency {
 
     /// Takes an odometry message: counts its tick, and learns what became of the command before.
     pub fn odometry(&mut self, header: TickHeader) {
-        if header.run != self.run || header.tick >= IMPLAUSIBLE_TICK {
+        if !header.attempt.is_of(self.run) || header.tick >= IMPLAUSIBLE_TICK {
             self.figures.counts.strays += 1;
             return;
         }
@@ -223,7 +223,7 @@ impl Latency {
         match self.last {
             // Who joins in the middle has missed nothing.
             None => {}
-            Some(last) if drive(last) == drive(header) => {
+            Some(last) if last.attempt == header.attempt => {
                 if header.tick <= last.tick {
                     counts.strays += 1;
                     return;
@@ -234,10 +234,11 @@ impl Latency {
                     note(&mut self.figures.period, counts, period);
                 }
             }
-            Some(last) if drive(last) < drive(header) => {
+            Some(last) if header.attempt.is_ahead_of(&last.attempt) => {
                 // How far the batch before went on is not known; how this one began is.
                 counts.missed += header.tick;
-                counts.missed_batches += (header.batch - last.batch).saturating_sub(1);
+                counts.missed_batches +=
+                    (header.attempt.batch - last.attempt.batch).saturating_sub(1);
             }
             Some(_) => {
                 counts.strays += 1;
@@ -257,7 +258,7 @@ impl Latency {
 
     /// Takes a raw command: the way to the controller, and through it.
     pub fn raw_command(&mut self, header: TickHeader) {
-        if header.run != self.run {
+        if !header.attempt.is_of(self.run) {
             self.figures.counts.strays += 1;
             return;
         }
@@ -267,7 +268,7 @@ impl Latency {
 
     /// Takes a command: the way to the supervisor, and through it.
     pub fn command(&mut self, header: TickHeader) {
-        if header.run != self.run || header.tick >= IMPLAUSIBLE_TICK {
+        if !header.attempt.is_of(self.run) || header.tick >= IMPLAUSIBLE_TICK {
             self.figures.counts.strays += 1;
             return;
         }
@@ -305,11 +306,6 @@ impl Latency {
     }
 }
 
-/// The drive that a tick belongs to: later ones are greater.
-fn drive(header: TickHeader) -> (u64, u32) {
-    (header.batch, header.attempt)
-}
-
 /// What lies between two stamps, if they can be believed.
 fn span(from_ns: u64, to_ns: u64) -> Option<u64> {
     if from_ns == 0 || to_ns == 0 {
@@ -328,6 +324,7 @@ fn note(histogram: &mut Histogram<u64>, counts: &mut Counts, span: Option<u64>) 
 
 #[cfg(test)]
 mod tests {
+    use ipc_types::Attempt;
     use proptest::prelude::*;
 
     use super::*;
@@ -340,8 +337,8 @@ mod tests {
     /// The command of a tick, and the odometry that follows it.
     fn tick(batch: u64, attempt: u32, tick: u64) -> (TickHeader, TickHeader) {
         let sent = 1_000_000_000 * batch + PERIOD * tick;
-        let odometry =
-            TickHeader { run: RUN, batch, attempt, tick, odometry_sent_ns: sent, ..<_>::default() };
+        let attempt = Attempt { run: RUN, batch, attempt, reserved: 0 };
+        let odometry = TickHeader { attempt, tick, odometry_sent_ns: sent, ..<_>::default() };
         let stamp = |hops: usize| sent + SPANS[..hops].iter().sum::<u64>();
         let command = TickHeader {
             controller_received_ns: stamp(1),
@@ -435,7 +432,8 @@ mod tests {
         check(command, TickHeader { applied_ns: 1, ..next }, 2);
         check(command, TickHeader { applied_ns: u64::MAX, ..next }, 2);
         check(TickHeader { odometry_sent_ns: 0, ..command }, next, 1);
-        check(TickHeader { run: 8, ..command }, next, 0);
+        let attempt = Attempt { run: 8, ..command.attempt };
+        check(TickHeader { attempt, ..command }, next, 0);
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
 
+use ipc_types::Attempt;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Style, Stylize};
@@ -160,7 +161,7 @@ struct View {
     live: Picture,
     /// The picture that stands still, if one does.
     frozen: Option<Picture>,
-    drive: Option<(u64, u32)>,
+    drive: Option<Attempt>,
 }
 
 impl View {
@@ -181,7 +182,7 @@ impl View {
             return;
         }
         self.drive = drive;
-        if let Some((batch, attempt)) = drive
+        if let Some(Attempt { batch, attempt, .. }) = drive
             && attempt > 1
         {
             self.live.tell(watch.age_s(), format!("batch {batch}: attempt {attempt}"));

@@ -5,7 +5,7 @@ use std::fs::{self, File};
 use std::time::Duration;
 
 use ipc_types::topics::OBSERVER_BUFFER;
-use ipc_types::{Command, Odometry, RawCommand, Safety, has};
+use ipc_types::{Attempt, Command, Odometry, RawCommand, Safety, has};
 use runtime::clock::now_ns;
 use runtime::observer::{Observer, ObserverError};
 use runtime::run::{LOCK_FILE, RunNames};
@@ -168,9 +168,9 @@ impl Watch {
         Ok(())
     }
 
-    /// The batch and attempt that are driven; none before the first odometry.
-    pub(crate) fn drive(&self) -> Option<(u64, u32)> {
-        self.latency.newest().map(|header| (header.batch, header.attempt))
+    /// The attempt that is driven; none before the first odometry.
+    pub(crate) fn drive(&self) -> Option<Attempt> {
+        self.latency.newest().map(|header| header.attempt)
     }
 
     /// Since the monitor has begun, or was reset.

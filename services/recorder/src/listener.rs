@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use ipc_types::layout::Bytes;
 use ipc_types::topics::OBSERVER_BUFFER;
-use ipc_types::{BatchHeader, DriveReport};
+use ipc_types::{Attempt, BatchHeader, DriveReport};
 use runtime::Bus;
 
 use crate::Place;
@@ -134,7 +134,7 @@ impl Listener {
     }
 
     /// Ticks of an attempt that were heard on every topic of the ring.
-    pub(crate) fn ticks_of(&self, attempt: (u64, u32)) -> u64 {
+    pub(crate) fn ticks_of(&self, attempt: Attempt) -> u64 {
         let of = |topic: &usize| self.ticks.get(topic).map_or(0, |it| it.ticks_of(attempt));
         self.ring.iter().map(of).min().unwrap_or_default()
     }

@@ -2,12 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use ipc_types::Attempt;
 use serde::{Deserialize, Serialize};
 
 use crate::Place;
-
-/// Batch and attempt.
-type Attempt = (u64, u32);
 
 /// Attempts whose length is remembered: an observer that is late may hear so many reports before their ticks.
 const REMEMBERED: usize = 4096;
@@ -72,7 +70,8 @@ impl TickProgress {
     /// Leaves the last attempt too.
     pub(crate) fn end(&mut self, reported: &BTreeMap<Attempt, u64>) {
         if self.heard.messages > 0 {
-            self.left.push((self.attempt, self.next_tick, (u64::MAX, u32::MAX)));
+            let last = Attempt { batch: u64::MAX, ..self.attempt };
+            self.left.push((self.attempt, self.next_tick, last));
         }
         self.settle(reported);
     }
@@ -99,6 +98,10 @@ impl Reported {
 mod tests {
     use super::*;
 
+    fn at(batch: u64, attempt: u32) -> Attempt {
+        Attempt { batch, attempt, ..Attempt::default() }
+    }
+
     fn note(progress: &mut TickProgress, attempt: Attempt, ticks: std::ops::Range<u64>) {
         for tick in ticks {
             progress.note(Place { attempt, tick: Some(tick), sent_ns: 0 });
@@ -110,25 +113,25 @@ mod tests {
         let mut progress = TickProgress::default();
         let mut reported = Reported::default();
         // Late, with a hole, and without its end.
-        note(&mut progress, (1, 1), 5..7);
-        note(&mut progress, (1, 1), 9..10);
+        note(&mut progress, at(1, 1), 5..7);
+        note(&mut progress, at(1, 1), 9..10);
         assert_eq!(progress.heard(), &Heard { messages: 3, missed: 2 });
-        reported.note((1, 1), 12);
+        reported.note(at(1, 1), 12);
         // Without its beginning.
-        note(&mut progress, (2, 1), 3..4);
+        note(&mut progress, at(2, 1), 3..4);
         assert_eq!(progress.heard().missed, 5);
         progress.settle(reported.all());
         assert_eq!(progress.heard().missed, 7);
         // A broken attempt has no end to miss; the last one has.
-        note(&mut progress, (2, 2), 0..4);
-        reported.note((2, 2), 4);
-        assert_eq!((progress.ticks_of((2, 2)), progress.ticks_of((2, 1))), (4, 0));
+        note(&mut progress, at(2, 2), 0..4);
+        reported.note(at(2, 2), 4);
+        assert_eq!((progress.ticks_of(at(2, 2)), progress.ticks_of(at(2, 1))), at(4, 0));
         // A whole batch was missed.
-        reported.note((3, 1), 10);
-        note(&mut progress, (4, 1), 0..1);
+        reported.note(at(3, 1), 10);
+        note(&mut progress, at(4, 1), 0..1);
         progress.settle(reported.all());
         assert_eq!(progress.heard(), &Heard { messages: 9, missed: 17 });
-        reported.note((4, 1), 3);
+        reported.note(at(4, 1), 3);
         progress.end(reported.all());
         assert_eq!(progress.heard().missed, 19);
     }

@@ -280,11 +280,11 @@ impl Teller {
         let Some((batch, all)) = parse::<BatchHeader, DriveRequest>(bytes, usize::MAX) else {
             return Vec::new();
         };
-        let again = batch.attempt > 1;
+        let again = batch.attempt.attempt > 1;
         let what = if again { "driven again" } else { "starts" };
         let values = vec![
-            KeyValue { key: "batch", value: batch.batch.to_string() },
-            KeyValue { key: "attempt", value: batch.attempt.to_string() },
+            KeyValue { key: "batch", value: batch.attempt.batch.to_string() },
+            KeyValue { key: "attempt", value: batch.attempt.attempt.to_string() },
             KeyValue { key: "vehicles", value: all.len().to_string() },
         ];
         let level = if again { WARN } else { OK };
@@ -309,8 +309,8 @@ fn tell_report(bytes: &[u8], stamp_ns: u64) -> Vec<RosMessage> {
     };
     let collided = all.iter().any(|report| report.reason == DriveReport::COLLISION);
     let mut values = vec![
-        KeyValue { key: "batch", value: batch.batch.to_string() },
-        KeyValue { key: "attempt", value: batch.attempt.to_string() },
+        KeyValue { key: "batch", value: batch.attempt.batch.to_string() },
+        KeyValue { key: "attempt", value: batch.attempt.attempt.to_string() },
     ];
     if let Some(first) = all.first() {
         values.push(KeyValue { key: "ticks", value: first.ticks.to_string() });

@@ -11,7 +11,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use config::RunConfig;
 use config::launch::{Launch, Role};
-use ipc_types::{BatchHeader, Credit, DriveRequest, WakeRole};
+use ipc_types::{Attempt, BatchHeader, Credit, DriveRequest, WakeRole};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Counters, Outlet, Service, join, serve};
 use serde_json::Value;
@@ -51,8 +51,7 @@ pub fn run() -> Result<()> {
     let mut recorder = Recorder {
         listener: Listener::new(&bus, tape)?,
         credits: bus.outlet()?,
-        run: attachment.names.run,
-        batch: (0, 0),
+        attempt: Attempt::between_batches(attachment.names.run),
         granted: None,
     };
     serve(&attachment, &bus, WakeRole::Recorder, &mut recorder)?;
@@ -112,9 +111,8 @@ fn digest(attachment: &Attachment) -> Option<String> {
 struct Recorder {
     listener: Listener,
     credits: Outlet<Credit>,
-    run: u64,
     /// The attempt that was requested last.
-    batch: (u64, u32),
+    attempt: Attempt,
     /// Ticks that were granted for it; none before the first grant.
     granted: Option<u64>,
 }
@@ -122,18 +120,18 @@ struct Recorder {
 impl Recorder {
     fn grant(&mut self, look: Look) -> Result<()> {
         let Some(requested) = self.listener.requested else { return Ok(()) };
-        if requested.attempt != self.batch {
-            (self.batch, self.granted) = (requested.attempt, None);
+        if requested.attempt != self.attempt {
+            (self.attempt, self.granted) = (requested.attempt, None);
         }
-        let ticks = self.listener.ticks_of(self.batch);
+        let ticks = self.listener.ticks_of(self.attempt);
         let is_due = match self.granted {
             None => matches!(look, Look::All | Look::Nothing),
             Some(granted) => ticks >= granted + CREDIT_EVERY,
         };
         if is_due {
             self.granted = Some(ticks);
-            let (batch, attempt) = self.batch;
-            let header = BatchHeader { run: self.run, batch, attempt, flags: 0, sent_ns: now_ns() };
+            let (attempt, sent_ns) = (self.attempt, now_ns());
+            let header = BatchHeader { attempt, sent_ns, ..BatchHeader::default() };
             let credit = Credit { ticks, source: DriveRequest::LOGGED, reserved: 0 };
             self.credits.send(header, 1, |_| credit)?;
         }
@@ -149,8 +147,7 @@ impl Service for Recorder {
     }
 
     fn status(&self) -> Counters {
-        let (batch, _) = self.batch;
-        let tick = self.listener.ticks_of(self.batch);
-        Counters { batch, tick, ..Counters::default() }
+        let tick = self.listener.ticks_of(self.attempt);
+        Counters { batch: self.attempt.batch, tick, ..Counters::default() }
     }
 }

@@ -8,6 +8,8 @@
 
 use std::collections::BTreeMap;
 
+use ipc_types::Attempt;
+
 use crate::Place;
 
 /// Attempts whose start is remembered: messages of different topics overtake each other, by no more than this.
@@ -17,7 +19,7 @@ const REMEMBERED: usize = 4;
 #[derive(Debug, Clone)]
 pub struct Timeline {
     tick_ns: u64,
-    starts: BTreeMap<(u64, u32), u64>,
+    starts: BTreeMap<Attempt, u64>,
     end_ns: u64,
 }
 
@@ -48,7 +50,10 @@ mod tests {
     #[test]
     fn attempts_lie_end_to_end() {
         let mut timeline = Timeline::new(0.01);
-        let mut stamp = |attempt, tick| timeline.stamp(Place { attempt, tick, sent_ns: 9 });
+        let mut stamp = |(batch, attempt), tick| {
+            let attempt = Attempt { batch, attempt, ..Attempt::default() };
+            timeline.stamp(Place { attempt, tick, sent_ns: 9 })
+        };
         assert_eq!(stamp((0, 0), None), 0);
         assert_eq!(stamp((1, 1), Some(0)), 0);
         assert_eq!(stamp((1, 1), Some(1)), 10_000_000);

@@ -1,16 +1,16 @@
 //! The topics of a run as a recording has them: bytes, and the tables that say what they mean.
 
 use anyhow::Result;
-use ipc_types::layout::{Bytes, Field, Layout};
-use ipc_types::{BatchHeader, Message, TickHeader, for_each_topic};
+use ipc_types::layout::{Bytes, Layout, Number, numbers};
+use ipc_types::{Attempt, BatchHeader, Message, TickHeader, for_each_topic};
 use runtime::{Bus, Inlet};
 use serde_json::{Value, json};
 
 /// Where in a run a message belongs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Place {
-    /// Batch and attempt; 0 where none is meant.
-    pub attempt: (u64, u32),
+    /// The attempt that it belongs to.
+    pub attempt: Attempt,
     /// The tick, of the topics that are sent once a tick.
     pub tick: Option<u64>,
     /// When it was sent.
@@ -30,13 +30,13 @@ impl Placed for TickHeader {
             "command" => self.supervisor_sent_ns,
             _ => self.controller_sent_ns,
         };
-        Place { attempt: (self.batch, self.attempt), tick: Some(self.tick), sent_ns }
+        Place { attempt: self.attempt, tick: Some(self.tick), sent_ns }
     }
 }
 
 impl Placed for BatchHeader {
     fn place(&self, _topic: &str) -> Place {
-        Place { attempt: (self.batch, self.attempt), tick: None, sent_ns: self.sent_ns }
+        Place { attempt: self.attempt, tick: None, sent_ns: self.sent_ns }
     }
 }
 
@@ -85,35 +85,14 @@ impl TopicInfo {
 }
 
 fn table<T: Layout>(bytes: usize) -> Value {
-    json!({ "type": T::TYPE_NAME, "bytes": bytes, "fields": fields(T::FIELDS, "", 0) })
+    json!({ "type": T::TYPE_NAME, "bytes": bytes, "fields": fields::<T>() })
 }
 
-/// Fields with their offsets in the whole; a message inside a message is spread out, its names behind a dot.
-fn fields(of: &[Field], prefix: &str, start: usize) -> Vec<Value> {
-    let mut all = Vec::new();
-    for field in of {
-        let (name, offset) = (format!("{prefix}{}", field.name), start + field.offset);
-        match inner(field.kind) {
-            Some(inner) => all.extend(fields(inner, &format!("{name}."), offset)),
-            None => {
-                let bytes = if field.kind == "u32" { 4 } else { 8 };
-                all.push(json!({
-                    "name": name, "kind": field.kind, "offset": offset, "bytes": bytes,
-                }));
-            }
-        }
-    }
-    all
-}
-
-/// The fields of a message that is part of others.
-fn inner(kind: &str) -> Option<&'static [Field]> {
-    match kind {
-        "WirePose" => Some(ipc_types::WirePose::FIELDS),
-        "Gains" => Some(ipc_types::Gains::FIELDS),
-        "DriveReport" => Some(ipc_types::DriveReport::FIELDS),
-        _ => None,
-    }
+/// A message's numbers with their offsets in the whole. A message inside a message is spread out, its names behind a dot,
+/// and so is an array, with an index behind its name.
+fn fields<T: Layout>() -> Vec<Value> {
+    let tell = |Number { name, kind, offset, bytes }| json!({ "name": name, "kind": kind, "offset": offset, "bytes": bytes });
+    numbers(T::FIELDS).into_iter().map(tell).collect()
 }
 
 /// All topics, in the order of their table.

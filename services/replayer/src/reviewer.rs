@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use ipc_types::layout::{Bytes, Field, Layout};
+use ipc_types::layout::{Bytes, Layout, Number, numbers};
 use ipc_types::{
-    BatchHeader, Command, Credit, DriveOutcome, DriveRequest, GainSwitch, Message, Proposal,
-    RawCommand, TickHeader, WakeRole, Zone,
+    Attempt, BatchHeader, Command, Credit, DriveOutcome, DriveRequest, GainSwitch, Message,
+    Proposal, RawCommand, TickHeader, WakeRole, Zone,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
@@ -65,7 +65,10 @@ pub fn run() -> Result<()> {
         order,
         batches,
         batch: 0,
-        header: BatchHeader::default(),
+        header: BatchHeader {
+            attempt: Attempt::between_batches(attachment.names.run),
+            ..BatchHeader::default()
+        },
         reported: None,
         credited: 0,
         outcome: Outcome::default(),
@@ -110,14 +113,12 @@ impl<M: Message<Header = TickHeader>> Side<M> {
                 },
             };
             let header = message.header();
-            if (header.batch, header.attempt) > (now.batch, now.attempt) {
+            if header.attempt.is_ahead_of(&now.attempt) {
                 // Its request travels on another topic, and has not come yet.
                 self.early = Some(message);
                 return Ok(taken > 0);
             }
-            if (header.batch, header.attempt, header.tick)
-                != (now.batch, now.attempt, self.next_tick)
-            {
+            if (header.attempt, header.tick) != (now.attempt, self.next_tick) {
                 continue;
             }
             self.next_tick += 1;
@@ -152,18 +153,20 @@ fn first_difference<M: Message>(tick: u64, items: &[M], batch: &Batch) -> Option
     }
     let slots = recorded.chunks(size_of::<M>()).zip(bytes.chunks(size_of::<M>())).enumerate();
     for (slot, (was, is)) in slots {
-        for field in <M as Layout>::FIELDS {
+        // Byte by byte first: the names of all fields are many words for nothing.
+        let fields = if was == is { Vec::new() } else { numbers(<M as Layout>::FIELDS) };
+        for field in &fields {
             let (was, is) = (value(field, was), value(field, is));
             if was.0 != is.0 {
-                return Some(differs(slot, field.name, was.1, is.1));
+                return Some(differs(slot, &field.name, was.1, is.1));
             }
         }
     }
     None
 }
 
-/// A field's bits, and its value in words. Commands have plain numbers alone.
-fn value(field: &Field, mut bytes: &[u8]) -> (u64, String) {
+/// A field's bits, and its value in words.
+fn value(field: &Number, mut bytes: &[u8]) -> (u64, String) {
     bytes = bytes.get(field.offset..).unwrap_or_default();
     match field.kind {
         "u32" => u32::take(&mut bytes).map(|it| (u64::from(it), it.to_string())),
@@ -201,7 +204,8 @@ struct Reviewer {
 impl Reviewer {
     fn propose(&mut self) -> Result<()> {
         self.stage = Stage::Driving;
-        let header = BatchHeader { run: self.run, sent_ns: now_ns(), ..BatchHeader::default() };
+        let attempt = Attempt::between_batches(self.run);
+        let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
         let step = self.batch as u32;
         let by_zone = &self.order.by_zone;
         let Some(batch) =
@@ -218,15 +222,14 @@ impl Reviewer {
             let request = batch.requests[slot];
             let recorded = request.flags & !DriveRequest::LOGGED;
             let mut flags = recorded | DriveRequest::RECORDED;
-            let mut gains = request.gains;
+            let mut parameters = request.parameters;
             if let Some(first) = by_zone.first() {
-                let config::Gains { kv, kl, ks, ki } = *first;
-                gains = ipc_types::Gains { kv, kl, ks, ki };
+                parameters = first.to_parameters();
                 flags &= !DriveRequest::SCHEDULED;
                 flags |= if by_zone.len() > 1 { DriveRequest::SCHEDULED } else { 0 };
             }
-            let DriveRequest { seed, ticks, .. } = request;
-            Proposal { gains, seed, ticks, learner: slot as u32, step, flags, reserved: 0 }
+            let DriveRequest { seed, ticks, plant, .. } = request;
+            Proposal { parameters, seed, ticks, learner: slot as u32, step, flags, plant }
         })?;
         Ok(())
     }
@@ -241,17 +244,15 @@ impl Reviewer {
             .filter_map(|zone| {
                 let Zone { from_tick, slot, zone } = *zone;
                 let recorded = batch.switches.iter().find(|it| (it.slot, it.zone) == (slot, zone));
-                let gains = match self.order.by_zone.get(zone as usize) {
-                    Some(config::Gains { kv, kl, ks, ki }) => {
-                        ipc_types::Gains { kv: *kv, kl: *kl, ks: *ks, ki: *ki }
-                    }
+                let parameters = match self.order.by_zone.get(zone as usize) {
+                    Some(gains) => gains.to_parameters(),
                     None => match recorded {
-                        Some(recorded) => recorded.gains,
+                        Some(recorded) => recorded.parameters,
                         // A zone that was not entered then: whatever it gets, the command tells of it.
-                        None => batch.requests.get(slot as usize)?.gains,
+                        None => batch.requests.get(slot as usize)?.parameters,
                     },
                 };
-                Some(GainSwitch { gains, from_tick, slot, zone })
+                Some(GainSwitch { parameters, from_tick, slot, zone })
             })
             .collect();
         let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..header };
@@ -299,7 +300,7 @@ impl Service for Reviewer {
         if let Some(request) = self.requests.receive_newest()? {
             any = true;
             let is_ours = request.items().first().is_some_and(|it| it.step as usize == self.batch);
-            if request.header().run == self.run && is_ours {
+            if request.header().attempt.is_of(self.run) && is_ours {
                 self.header = request.header();
                 self.credited = 0;
                 self.raw.reset();

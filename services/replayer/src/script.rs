@@ -52,11 +52,6 @@ pub fn check(file: &Path) -> Result<String> {
     let recording = parts.next().context("a first part")?;
     let beginning = |key: &str| recording.beginning.get(key).map(String::as_str);
     let why = |why: &str| format!("{} {why}", file.display());
-    ensure!(!recording.beginning.is_empty(), why("is no recording of ours"));
-    ensure!(
-        beginning("layout") == Some(&layout_digest()),
-        why("was recorded by a version whose messages have another layout")
-    );
     ensure!(
         beginning("from_first_tick") == Some("true"),
         why("does not begin with the first tick of its run; record it with --record")
@@ -78,6 +73,12 @@ pub fn check(file: &Path) -> Result<String> {
 fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> {
     let mut parts = vec![Recording::read_only(first, &wanted)?];
     let beginning = &parts[0].beginning;
+    ensure!(!beginning.is_empty(), "{} is no recording of ours", first.display());
+    ensure!(
+        beginning.get("layout") == Some(&layout_digest()),
+        "{} was made by an earlier version of pathtune; its messages have another layout, so this one cannot replay it",
+        first.display()
+    );
     if let (Some(number), Some(before)) = (beginning.get("file"), beginning.get("continues")) {
         let file = first.display();
         bail!("{file} is part {number} of a recording, behind {before}; name the first one");
@@ -124,23 +125,23 @@ pub(crate) fn batches(file: &Path, topics: &[&'static str]) -> Result<Vec<Batch>
     let mut reported = BTreeMap::new();
     for message in parts.iter().flat_map(|part| part.of("drive_report")) {
         let header = BatchHeader::take(&mut &message.data[..]).context("a report")?;
-        reported.insert(header.batch, header.attempt);
+        reported.insert(header.attempt.batch, header.attempt);
     }
     let mut all: BTreeMap<u64, Batch> = BTreeMap::new();
     for message in parts.iter().flat_map(|part| &part.messages) {
         let name = message.topic.strip_prefix("/pathtune/").unwrap_or_default();
         let mut bytes = &message.data[..];
         let per_tick = topics.iter().find(|topic| **topic == name);
-        let (batch, attempt) = match per_tick {
-            Some(_) => TickHeader::take(&mut bytes).map(|it| (it.batch, it.attempt)),
-            None => BatchHeader::take(&mut bytes).map(|it| (it.batch, it.attempt)),
+        let attempt = match per_tick {
+            Some(_) => TickHeader::take(&mut bytes).map(|it| it.attempt),
+            None => BatchHeader::take(&mut bytes).map(|it| it.attempt),
         }
         .context("a header")?;
-        if reported.get(&batch) != Some(&attempt) {
+        if reported.get(&attempt.batch) != Some(&attempt) {
             continue;
         }
-        let of = all.entry(batch).or_default();
-        of.number = batch;
+        let of = all.entry(attempt.batch).or_default();
+        of.number = attempt.batch;
         match (per_tick, name) {
             (Some(topic), _) => of.ticks.entry(topic).or_default().push(bytes.to_vec()),
             (None, "drive_request") => of.requests = parse::<DriveRequest>(bytes),

@@ -92,7 +92,7 @@ impl Replayer {
             None => usize::MAX,
         };
         let fits = self.batches.get(batch).is_some_and(|it| it.requests.len() == requests.len());
-        if header.run != self.run || !fits {
+        if !header.attempt.is_of(self.run) || !fits {
             self.counters.dropped += 1;
             return;
         }
@@ -100,19 +100,13 @@ impl Replayer {
         self.ended = vec![false; requests.len()];
         self.allowance = Allowance::new(requests);
         self.started_ns = now_ns();
-        self.held_back = Some(TickHeader {
-            run: self.run,
-            batch: header.batch,
-            attempt: header.attempt,
-            ..TickHeader::default()
-        });
+        self.held_back = Some(TickHeader { attempt: header.attempt, ..TickHeader::default() });
     }
 
     /// Publishes what was held back, once it may be.
     fn publish(&mut self, mut header: TickHeader) -> Result<bool> {
         while let Some(credit) = self.credits.receive()? {
-            let of = credit.header();
-            if (of.run, of.batch, of.attempt) == (self.run, header.batch, header.attempt) {
+            if credit.header().attempt == header.attempt {
                 credit.items().iter().for_each(|credit| self.allowance.grant(*credit));
             } else {
                 self.counters.dropped += 1;
@@ -137,7 +131,7 @@ impl Replayer {
         // Who drives on beyond the end of the recording is told to end.
         let more = if is_beyond { Odometry::COLLISION } else { 0 };
         header.odometry_sent_ns = now_ns();
-        (self.counters.batch, self.counters.tick) = (header.batch, header.tick);
+        (self.counters.batch, self.counters.tick) = (header.attempt.batch, header.tick);
         self.odometry.send(header, self.ended.len(), |slot| {
             let mut seen = odometry.get(slot).copied().unwrap_or_default();
             seen.status |= more | if self.ended[slot] { Odometry::ENDED } else { 0 };
@@ -149,8 +143,7 @@ impl Replayer {
 
     fn obey(&mut self, header: TickHeader, commands: &[Command]) {
         let fits = self.waiting.is_some_and(|waiting| {
-            (header.run, header.batch, header.attempt, header.tick)
-                == (waiting.run, waiting.batch, waiting.attempt, waiting.tick)
+            (header.attempt, header.tick) == (waiting.attempt, waiting.tick)
         });
         if !fits || commands.len() != self.ended.len() {
             self.counters.dropped += 1;
@@ -164,8 +157,6 @@ impl Replayer {
         }
         if !self.ended.iter().all(|ended| *ended) {
             self.held_back = Some(TickHeader {
-                run: self.run,
-                batch: header.batch,
                 attempt: header.attempt,
                 tick: header.tick + 1,
                 applied_ns: now_ns(),

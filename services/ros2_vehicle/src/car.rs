@@ -3,7 +3,7 @@
 //! Pure: the time is an argument.
 
 use config::{Align, RunConfig};
-use ipc_types::{BatchHeader, Command, DriveRequest, Odometry, TickHeader, WirePose, has};
+use ipc_types::{Attempt, BatchHeader, Command, DriveRequest, Odometry, TickHeader, WirePose, has};
 use tracking::{Pose, wrap_angle};
 
 use crate::frames::{Alignment, Reading};
@@ -46,8 +46,7 @@ pub struct Counts {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Drive {
-    batch: u64,
-    attempt: u32,
+    attempt: Attempt,
     start: Pose,
     /// When tick 0 was, and the tick that is due; none while the car is not at the start.
     clock: Option<(u64, u64)>,
@@ -70,10 +69,8 @@ struct Held {
 /// How a drive began: what a restarted process must know to go on with it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Begun {
-    /// The batch.
-    pub batch: u64,
-    /// The attempt at it.
-    pub attempt: u32,
+    /// The attempt.
+    pub attempt: Attempt,
     /// Where the odometry's frame lies.
     pub alignment: Alignment,
 }
@@ -183,7 +180,8 @@ impl Car {
 
     /// Batch and next tick of the drive.
     pub fn progress(&self) -> (u64, u64) {
-        self.drive.map_or((0, 0), |drive| (drive.batch, drive.clock.map_or(0, |(_, next)| next)))
+        self.drive
+            .map_or((0, 0), |drive| (drive.attempt.batch, drive.clock.map_or(0, |(_, next)| next)))
     }
 
     /// What was not as it should be.
@@ -207,13 +205,12 @@ impl Car {
             self.counts.dropped += 1;
             return false;
         };
-        if header.run != self.run {
+        if !header.attempt.is_of(self.run) {
             self.counts.dropped += 1;
             return false;
         }
         let WirePose { x_m, y_m, yaw_rad } = request.start;
         self.drive = Some(Drive {
-            batch: header.batch,
             attempt: header.attempt,
             start: Pose { x_m, y_m, yaw_rad },
             clock: None,
@@ -231,7 +228,7 @@ impl Car {
     /// Goes on with the drive of the request that was just taken: this process was restarted on the way.
     pub fn rejoin(&mut self, begun: Begun, requested_ns: u64, now_ns: u64) {
         let Some(drive) = &mut self.drive else { return };
-        if (drive.batch, drive.attempt) == (begun.batch, begun.attempt) {
+        if drive.attempt == begun.attempt {
             drive.alignment = begun.alignment;
             let tick = now_ns.saturating_sub(requested_ns) / self.tick_ns;
             drive.clock = Some((requested_ns, tick));
@@ -246,7 +243,7 @@ impl Car {
         now_ns: u64,
     ) -> Option<Setpoint> {
         let matching = self.drive.as_mut().filter(|drive| {
-            (header.run, header.batch, header.attempt) == (self.run, drive.batch, drive.attempt)
+            header.attempt == drive.attempt
                 && drive.clock.is_some()
                 && drive.held.is_none_or(|held| header.tick >= held.tick)
         });
@@ -289,8 +286,8 @@ impl Car {
         if let (None, true, Some(reading)) = (drive.clock, at_start, fresh) {
             drive.alignment = Alignment::new(self.align, reading.pose, drive.start);
             drive.clock = Some((now_ns, 0));
-            let Drive { batch, attempt, alignment, .. } = drive;
-            step.begun = Some(Begun { batch, attempt, alignment });
+            let Drive { attempt, alignment, .. } = drive;
+            step.begun = Some(Begun { attempt, alignment });
         }
         match drive.clock {
             None => {
@@ -386,8 +383,6 @@ impl Car {
             reserved: 0,
         };
         let header = TickHeader {
-            run: self.run,
-            batch: drive.batch,
             attempt: drive.attempt,
             tick,
             applied_ns: drive.applied_ns,

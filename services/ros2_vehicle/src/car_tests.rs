@@ -24,14 +24,13 @@ fn reading(x_m: f64, speed_mps: f64, stamp: i32) -> Reading {
 }
 
 fn batch(batch: u64) -> BatchHeader {
-    BatchHeader { run: 7, batch, attempt: 1, flags: 0, sent_ns: T0 }
+    let attempt = Attempt { run: 7, batch, attempt: 1, reserved: 0 };
+    BatchHeader { attempt, sent_ns: T0, ..BatchHeader::default() }
 }
 
 fn command(tick: u64, sent_ns: u64, speed_mps: f64, flags: u32) -> (TickHeader, [Command; 1]) {
     let header = TickHeader {
-        run: 7,
-        batch: 1,
-        attempt: 1,
+        attempt: batch(1).attempt,
         tick,
         supervisor_sent_ns: sent_ns,
         ..TickHeader::default()
@@ -135,9 +134,9 @@ fn late_old_strange_and_broken_commands_move_nothing() {
     assert!(car.obey(good, &one, now).is_some());
     let strange = [
         TickHeader { tick: 9, ..good },
-        TickHeader { run: 8, ..good },
-        TickHeader { batch: 2, ..good },
-        TickHeader { attempt: 2, ..good },
+        TickHeader { attempt: Attempt { run: 8, ..good.attempt }, ..good },
+        TickHeader { attempt: Attempt { batch: 2, ..good.attempt }, ..good },
+        TickHeader { attempt: Attempt { attempt: 2, ..good.attempt }, ..good },
     ];
     for header in strange {
         assert_eq!(car.obey(header, &one, now), None);
@@ -147,7 +146,12 @@ fn late_old_strange_and_broken_commands_move_nothing() {
     let broken = [Command { speed_mps: f64::NAN, ..one[0] }];
     assert_eq!(car.obey(good, &broken, now), Some(Setpoint::default()));
     assert_eq!(car.counts().rejected, 1);
-    assert!(!car.request(BatchHeader { run: 8, ..batch(2) }, &[DriveRequest::default()], now));
+    let strange = Attempt { run: 8, ..batch(2).attempt };
+    assert!(!car.request(
+        BatchHeader { attempt: strange, ..batch(2) },
+        &[DriveRequest::default()],
+        now
+    ));
     assert!(!car.request(batch(2), &[DriveRequest::default(); 2], now));
     assert_eq!(car.progress().0, 1);
 }
@@ -173,7 +177,7 @@ fn behind_its_end_the_car_stops_and_still_tells_where_it_is() {
     assert!(step.odometry.is_none() && step.setpoint.is_some());
     car.see(reading(6.0, 0.0, 11), T0 + 200 * TICK);
     let (header, sent) = odometry(car.step(T0 + 200 * TICK));
-    assert_eq!((header.batch, header.tick), (2, 0));
+    assert_eq!((header.attempt.batch, header.tick), (2, 0));
     assert_eq!((sent.measured.x_m, sent.status), (0.0, 0));
 }
 
@@ -212,8 +216,10 @@ fn a_restarted_process_goes_on_where_the_car_is() {
     let mut car = driving(Align::Start);
     car.see(reading(3.0, 2.0, 4), T0 + 29 * TICK);
     let before = odometry(car.step(T0 + 29 * TICK));
-    let begun =
-        Begun { batch: 1, attempt: 1, alignment: Alignment { turn_rad: 0.0, x_m: 0.0, y_m: -2.0 } };
+    let begun = Begun {
+        attempt: batch(1).attempt,
+        alignment: Alignment { turn_rad: 0.0, x_m: 0.0, y_m: -2.0 },
+    };
     let mut car = Car::new(&config(Align::Start), 7);
     let now = T0 + 30 * TICK;
     assert!(car.request(batch(1), &[DriveRequest::default()], now));

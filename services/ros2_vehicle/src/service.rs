@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use config::RunConfig;
-use ipc_types::{Command, DriveRequest, Odometry, Status, WakeRole};
+use ipc_types::{Attempt, Command, DriveRequest, Odometry, Status, WakeRole};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 use serde::{Deserialize, Serialize};
@@ -140,7 +140,8 @@ impl Adapter {
                 self.car.rejoin(begun, header.sent_ns, now_ns);
             }
             let joined = !self.car.is_awaited();
-            tracing::info!(batch = header.batch, attempt = header.attempt, joined, "requested");
+            let Attempt { batch, attempt, .. } = header.attempt;
+            tracing::info!(batch, attempt, joined, "requested");
             self.watch.start_ns = now_ns;
         }
         Ok(true)
@@ -158,7 +159,7 @@ impl Adapter {
             let off = offset.unwrap_or_default();
             let (distance_m, heading_rad) = (off.distance_m, off.heading_rad);
             tracing::info!(
-                batch = begun.batch,
+                batch = begun.attempt.batch,
                 "the drive begins {distance_m:.3} m and {heading_rad:.3} rad off the path's start"
             );
         }
@@ -295,6 +296,8 @@ impl Service for Adapter {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BatchFile {
+    /// In hexadecimal digits, as everywhere: TOML has no number that large.
+    run: String,
     batch: u64,
     attempt: u32,
     alignment: Alignment,
@@ -303,13 +306,15 @@ struct BatchFile {
 impl BatchFile {
     fn read(path: &PathBuf) -> Option<Begun> {
         let text = std::fs::read_to_string(path).ok()?;
-        let Self { batch, attempt, alignment } = toml::from_str(&text).ok()?;
-        Some(Begun { batch, attempt, alignment })
+        let Self { run, batch, attempt, alignment } = toml::from_str(&text).ok()?;
+        let run = u64::from_str_radix(&run, 16).ok()?;
+        Some(Begun { attempt: Attempt { run, batch, attempt, reserved: 0 }, alignment })
     }
 
     fn write(path: &PathBuf, begun: Begun) -> Result<()> {
-        let Begun { batch, attempt, alignment } = begun;
-        let text = toml::to_string(&Self { batch, attempt, alignment })?;
+        let Begun { attempt: Attempt { run, batch, attempt, .. }, alignment } = begun;
+        let run = format!("{run:016x}");
+        let text = toml::to_string(&Self { run, batch, attempt, alignment })?;
         // By rename: there is never half a file.
         let new = path.with_extension("new");
         std::fs::write(&new, text)?;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use config::RunConfig;
-use ipc_types::{BatchHeader, Status, WakeRole};
+use ipc_types::{Attempt, BatchHeader, Status, WakeRole};
 
 use crate::chaos::{Saboteur, Spread};
 use crate::clock::{coarse_ns, now_ns};
@@ -60,7 +60,7 @@ pub struct Counters {
     pub batch: u64,
     /// Its next tick.
     pub tick: u64,
-    /// Samples that did not match run, batch, attempt and tick, and were dropped.
+    /// Samples that did not match attempt and tick, and were dropped.
     pub dropped: u64,
     /// Samples that were not finite or out of range, and were rejected.
     pub rejected: u64,
@@ -192,7 +192,8 @@ impl Heartbeat {
             capacity,
             pacing,
         };
-        let header = BatchHeader { run: self.run, sent_ns: now_ns, ..BatchHeader::default() };
+        let attempt = Attempt::between_batches(self.run);
+        let header = BatchHeader { attempt, sent_ns: now_ns, ..BatchHeader::default() };
         // Only the first one is waited for.
         if first {
             self.outlet.send(header, 1, |_| status)?;

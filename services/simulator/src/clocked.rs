@@ -88,8 +88,6 @@ impl Clocked {
         }
         batch.tick = due_tick;
         let header = TickHeader {
-            run: batch.header.run,
-            batch: batch.header.batch,
             attempt: batch.header.attempt,
             tick: due_tick,
             applied_ns: batch.applied_ns,
@@ -111,8 +109,7 @@ impl Clocked {
         counters: &mut Counters,
     ) {
         let Some(batch) = self.batch.as_mut().filter(|batch| {
-            (header.run, header.batch, header.attempt)
-                == (batch.header.run, batch.header.batch, batch.header.attempt)
+            header.attempt == batch.header.attempt
                 && batch.held.as_ref().is_none_or(|(held, _)| header.tick >= held.tick)
                 && header.tick < batch.tick
                 && commands.len() == slots.len()

@@ -101,7 +101,7 @@ impl Simulator {
 
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) -> Result<()> {
         self.pace = Pace::new();
-        if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
+        if !header.attempt.is_of(self.run) || requests.is_empty() || requests.len() > MAX_FLEET {
             self.counters.dropped += 1;
             return Ok(());
         }
@@ -124,20 +124,15 @@ impl Simulator {
         }
         if let Some(clocked) = &mut self.clocked {
             clocked.start(header, now_ns());
-            self.counters.batch = header.batch;
+            self.counters.batch = header.attempt.batch;
             return Ok(());
         }
         self.pace.allowance = Allowance::new(requests);
-        self.counters.batch = header.batch;
+        self.counters.batch = header.attempt.batch;
         self.counters.tick = 0;
         let slots = &mut self.slots;
         let first = self.odometry.write(slots.len(), |index| slots[index].observe())?;
-        let header = TickHeader {
-            run: self.run,
-            batch: header.batch,
-            attempt: header.attempt,
-            ..TickHeader::default()
-        };
+        let header = TickHeader { attempt: header.attempt, ..TickHeader::default() };
         self.pace.publish(first, header)
     }
 
@@ -175,8 +170,6 @@ impl Simulator {
         }
         self.counters.tick = waiting.tick + 1;
         let header = TickHeader {
-            run: self.run,
-            batch: waiting.batch,
             attempt: waiting.attempt,
             tick: waiting.tick + 1,
             applied_ns,
@@ -213,8 +206,7 @@ impl Simulator {
         while let Some(credit) = self.credits.receive()? {
             any = true;
             let header = credit.header();
-            let is_of_batch = (header.run, header.batch, header.attempt)
-                == (self.run, held_back.batch, held_back.attempt);
+            let is_of_batch = header.attempt == held_back.attempt;
             let Some(credit) = credit.items().first().filter(|_| is_of_batch) else {
                 self.counters.dropped += 1;
                 continue;
@@ -231,7 +223,7 @@ impl Simulator {
 }
 
 fn header_matches(a: TickHeader, b: TickHeader) -> bool {
-    (a.run, a.batch, a.attempt, a.tick) == (b.run, b.batch, b.attempt, b.tick)
+    (a.attempt, a.tick) == (b.attempt, b.tick)
 }
 
 impl Service for Simulator {

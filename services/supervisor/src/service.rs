@@ -6,8 +6,8 @@
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
-    BatchHeader, Command, DriveRequest, Odometry, RawCommand, Rearm, Safety, TickHeader, WakeRole,
-    WirePose, Zone, has,
+    Attempt, BatchHeader, Command, DriveRequest, KeptLawState, LawState, Odometry, RawCommand,
+    Rearm, Safety, TickHeader, WakeRole, WirePose, Zone, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
@@ -30,10 +30,13 @@ pub fn run() -> Result<()> {
 struct Supervisor {
     requests: Inlet<DriveRequest>,
     odometry: Inlet<Odometry>,
+    law_states: Inlet<LawState>,
     raw_commands: Inlet<RawCommand>,
     rearms: Inlet<Rearm>,
     commands: Outlet<Command>,
     zones: Outlet<Zone>,
+    /// Made before the outlet of `safety`: who meets a newcomer in this order hands it both, or this one alone.
+    kept_law_states: Outlet<KeptLawState>,
     safety: Outlet<Safety>,
     run: u64,
     tick_s: f64,
@@ -66,6 +69,9 @@ struct Clocked {
     sent_ns: u64,
     /// Whether the drives had begun before this process did, and no answer has told yet how they stand.
     joins: bool,
+    /// The laws' newest states, one a slot; empty before the first. Not in the slots: no other mode has them, and a fleet
+    /// is to fit into the cache.
+    law_states: Vec<KeptLawState>,
 }
 
 impl Clocked {
@@ -93,10 +99,12 @@ impl Supervisor {
         Ok(Self {
             requests: bus.inlet()?,
             odometry: bus.inlet()?,
+            law_states: bus.inlet()?,
             raw_commands: bus.inlet()?,
             rearms: bus.inlet()?,
             commands: bus.outlet()?,
             zones: bus.outlet()?,
+            kept_law_states: bus.outlet()?,
             safety: bus.outlet()?,
             run,
             tick_s: config.drive.tick_s,
@@ -105,7 +113,7 @@ impl Supervisor {
             fresh: (ZoneTracker::new(config), Watch::new(config)),
             slots: Vec::new(),
             entered: Vec::new(),
-            batch: BatchHeader::default(),
+            batch: BatchHeader { attempt: Attempt::between_batches(run), ..BatchHeader::default() },
             early: None,
             early_odometry: None,
             clocked: None,
@@ -116,7 +124,7 @@ impl Supervisor {
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) {
         self.slots.clear();
         self.clocked = None;
-        if header.run != self.run || requests.is_empty() || requests.len() > MAX_FLEET {
+        if !header.attempt.is_of(self.run) || requests.is_empty() || requests.len() > MAX_FLEET {
             self.counters.dropped += 1;
             return;
         }
@@ -141,15 +149,13 @@ impl Supervisor {
                 has_reference: false,
                 sent_ns: 0,
                 joins: header.sent_ns < self.started_ns,
+                law_states: Vec::new(),
             });
         }
     }
 
     fn is_of_batch(&self, header: TickHeader, len: usize) -> bool {
-        (header.run, header.batch, header.attempt)
-            == (self.run, self.batch.batch, self.batch.attempt)
-            && len == self.slots.len()
-            && len > 0
+        header.attempt == self.batch.attempt && len == self.slots.len() && len > 0
     }
 
     fn see(&mut self, header: TickHeader, odometry: &[Odometry]) {
@@ -199,7 +205,7 @@ impl Supervisor {
         let odometry = self.odometry_of(header)?;
         let seen = odometry.as_ref().map_or(&[][..], Received::items);
         self.entered.clear();
-        self.counters.batch = header.batch;
+        self.counters.batch = header.attempt.batch;
         self.counters.tick = header.tick + 1;
         let (batch, tick_s) = (self.batch, self.tick_s);
         let Self { slots, entered, zones, counters, .. } = self;
@@ -234,7 +240,6 @@ impl Supervisor {
     /// The odometry that a raw command answers, in lockstep: it came before. The first one of the next batch may have
     /// come, too, and anything that does not belong.
     fn odometry_of(&mut self, header: TickHeader) -> Result<Option<Received<Odometry>>> {
-        let place = |header: TickHeader| (header.batch, header.attempt, header.tick);
         let mut next = self.early_odometry.take();
         loop {
             let Some(odometry) = next.map_or_else(|| self.odometry.receive(), |it| Ok(Some(it)))?
@@ -243,11 +248,11 @@ impl Supervisor {
             };
             next = None;
             let it = odometry.header();
-            let is_ours = it.run == self.run;
-            if is_ours && place(it) == place(header) && odometry.items().len() == self.slots.len() {
+            let is_of_batch = self.is_of_batch(it, odometry.items().len());
+            if is_of_batch && it.tick == header.tick {
                 return Ok(Some(odometry));
             }
-            if is_ours && it.tick == 0 && place(it) > place(header) {
+            if it.tick == 0 && it.attempt.is_ahead_of(&header.attempt) {
                 self.early_odometry = Some(odometry);
             }
         }
@@ -272,6 +277,7 @@ impl Supervisor {
             clocked.has_reference = true;
             joins = std::mem::take(&mut clocked.joins);
         }
+        self.keep_law_states()?;
         self.entered.clear();
         for (index, (slot, raw)) in self.slots.iter_mut().zip(raw).enumerate() {
             if joins {
@@ -288,6 +294,24 @@ impl Supervisor {
         announce(&self.zones, self.batch, &self.entered)
     }
 
+    /// Takes over what the laws must not lose. It was sent before the raw command.
+    fn keep_law_states(&mut self) -> Result<()> {
+        let Some(states) = self.law_states.receive_newest()? else { return Ok(()) };
+        let len = states.items().len();
+        let Some(clocked) = &mut self.clocked else { return Ok(()) };
+        if states.header().attempt != self.batch.attempt || len != self.slots.len() {
+            self.counters.dropped += 1;
+            return Ok(());
+        }
+        let kept = states.items().iter().map(|state| {
+            let LawState { tick, slot, count, numbers } = *state;
+            KeptLawState { tick, slot, count, numbers }
+        });
+        clocked.law_states.clear();
+        clocked.law_states.extend(kept);
+        Ok(())
+    }
+
     /// Sends a command in real time: what the raw command wants, if it is an answer, within limits; else one of our own.
     fn send(&mut self, header: TickHeader, received_ns: u64, is_answer: bool) -> Result<()> {
         let now = now_ns();
@@ -299,7 +323,7 @@ impl Supervisor {
             clocked.sent_ns = now;
             faults |= clocked.odometry_faults(now, self.answer_age_limit_ns);
         }
-        self.counters.batch = header.batch;
+        self.counters.batch = header.attempt.batch;
         self.counters.tick = header.tick + 1;
         let Self { slots, counters, .. } = self;
         let header =
@@ -313,7 +337,18 @@ impl Supervisor {
             command
         })?;
         // Every command tells it: a controller that joins needs the last one.
+        self.tell_law_states(now)?;
         self.tell_safety(now)
+    }
+
+    /// Hands on what the laws must not lose, once it is known.
+    fn tell_law_states(&mut self, now_ns: u64) -> Result<()> {
+        let Some(Clocked { law_states: kept, .. }) = &self.clocked else { return Ok(()) };
+        if !kept.is_empty() {
+            let batch = BatchHeader { flags: 0, sent_ns: now_ns, ..self.batch };
+            self.kept_law_states.send_quietly(batch, kept.len(), |index| kept[index])?;
+        }
+        Ok(())
     }
 
     fn tell_safety(&mut self, now_ns: u64) -> Result<()> {
@@ -325,7 +360,7 @@ impl Supervisor {
             Safety {
                 tick: *raw_tick,
                 origin_m: raw.origin_m,
-                phase: raw.phase,
+                phase_ticks: raw.phase_ticks,
                 has_reference: u32::from(has_reference),
                 ..watch.safety()
             }
@@ -336,7 +371,9 @@ impl Supervisor {
     /// Lets stopped vehicles drive again that somebody has rearmed.
     fn hear_rearms(&mut self) -> Result<bool> {
         let Some(rearm) = self.rearms.receive()? else { return Ok(false) };
-        let Some(clocked) = self.clocked.as_ref().filter(|_| rearm.header().run == self.run) else {
+        let Some(clocked) =
+            self.clocked.as_ref().filter(|_| rearm.header().attempt.is_of(self.run))
+        else {
             self.counters.dropped += 1;
             return Ok(true);
         };
@@ -494,8 +531,7 @@ impl Service for Supervisor {
             self.see(odometry.header(), odometry.items());
         }
         let Some(raw) = raw else { return self.look_at_clock() };
-        let (header, batch) = (raw.header(), self.batch);
-        if header.run == self.run && (header.batch, header.attempt) > (batch.batch, batch.attempt) {
+        if raw.header().attempt.is_ahead_of(&self.batch.attempt) {
             self.early = Some(raw);
             // The request that it waits for may be here already, and nobody wakes us for it again.
             return Ok(is_new);
@@ -528,18 +564,13 @@ mod tests {
         let (odometry, raw_commands) = (bus.outlet().unwrap(), bus.outlet().unwrap());
         let requests = bus.outlet().unwrap();
         let commands = bus.observe::<Command>().unwrap();
+        let first_at = |batch| Attempt { run: names.run, batch, attempt: 1, reserved: 0 };
         let ask = |batch| {
-            let header =
-                BatchHeader { run: names.run, batch, attempt: 1, ..BatchHeader::default() };
+            let header = BatchHeader { attempt: first_at(batch), ..BatchHeader::default() };
             requests.send(header, 1, |_| DriveRequest::default()).unwrap();
         };
-        let at = |batch, tick| TickHeader {
-            run: names.run,
-            batch,
-            attempt: 1,
-            tick,
-            ..TickHeader::default()
-        };
+        let at =
+            |batch, tick| TickHeader { attempt: first_at(batch), tick, ..TickHeader::default() };
         let see = |header, x_m| {
             let measured = WirePose { x_m, ..WirePose::default() };
             odometry.send(header, 1, |_| Odometry { measured, ..Odometry::default() }).unwrap();
@@ -558,7 +589,7 @@ mod tests {
         ask(1);
         assert!(supervisor.poll().unwrap() && commands.receive().unwrap().is_none());
         assert!(supervisor.poll().unwrap());
-        assert_eq!(commands.receive().unwrap().unwrap().header().batch, 1);
+        assert_eq!(commands.receive().unwrap().unwrap().header().attempt.batch, 1);
         assert_eq!(supervisor.slots[0].measured.x_m, 0.25);
 
         // The next batch begins before this one's last raw command is answered: each has its own odometry.
@@ -570,12 +601,49 @@ mod tests {
         want(at(2, 0), 0);
         ask(2);
         while supervisor.poll().unwrap() {}
-        assert_eq!((supervisor.batch.batch, supervisor.slots[0].measured.x_m), (2, 0.75));
+        assert_eq!((supervisor.batch.attempt.batch, supervisor.slots[0].measured.x_m), (2, 0.75));
         let answered: Vec<u64> = std::iter::from_fn(|| commands.receive().unwrap())
-            .map(|command| command.header().batch)
+            .map(|command| command.header().attempt.batch)
             .collect();
         assert_eq!(answered, [1, 2]);
         drop((supervisor, odometry, raw_commands, requests, commands, bus));
+        names.remove();
+    }
+
+    #[test]
+    fn by_the_clock_the_state_of_a_law_is_handed_on_with_every_command() {
+        let names = RunNames::create().unwrap();
+        let bus = Bus::create(&names, 1).unwrap();
+        let config = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+        let mut supervisor = Supervisor::new(&bus, &config, names.run, now_ns()).unwrap();
+        let (odometry, raw_commands) = (bus.outlet().unwrap(), bus.outlet().unwrap());
+        let (requests, law_states) = (bus.outlet().unwrap(), bus.outlet().unwrap());
+        let kept = bus.observe::<KeptLawState>().unwrap();
+        let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
+        let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
+        let flags = DriveRequest::REAL_TIME;
+        requests.send(header, 1, |_| DriveRequest { flags, ..DriveRequest::default() }).unwrap();
+        while supervisor.poll().unwrap() {}
+        let mut answer = |tick, state: Option<LawState>| {
+            let at =
+                TickHeader { attempt, tick, odometry_sent_ns: now_ns(), ..TickHeader::default() };
+            odometry.send(at, 1, |_| Odometry::default()).unwrap();
+            if let Some(state) = state {
+                law_states.send(header, 1, |_| state).unwrap();
+            }
+            raw_commands.send(at, 1, |_| RawCommand::default()).unwrap();
+            while supervisor.poll().unwrap() {}
+            kept.receive_newest().unwrap().map(|it| (it.header().attempt, it.items()[0]))
+        };
+        // Nothing is known, and nothing is told.
+        assert_eq!(answer(0, None), None);
+        let mut state = LawState { tick: 1, count: 2, ..LawState::default() };
+        state.numbers[..2].copy_from_slice(&[0.25, -3.0]);
+        let LawState { tick, slot, count, numbers } = state;
+        let expected = Some((attempt, KeptLawState { tick, slot, count, numbers }));
+        assert_eq!(answer(1, Some(state)), expected);
+        assert_eq!(answer(2, None), expected);
+        drop((supervisor, odometry, raw_commands, requests, law_states, kept, bus));
         names.remove();
     }
 }

@@ -103,6 +103,7 @@ impl Watch {
             steering_rad: self.gate.steering_rad(),
             changed: self.changed,
             own: self.own,
+            clock_rate: if self.guard.state() == State::Normal { 1.0 } else { 0.0 },
             state: self.guard.state().number(),
             reasons: self.guard.reasons(),
             ..Safety::default()

@@ -18,10 +18,11 @@ pub fn digest(training: &Training) -> String {
 pub(crate) fn digest_of_reports(reports: &[DriveReport]) -> String {
     let mut digest = Sha256::new();
     for report in reports {
-        let ipc_types::Gains { kv, kl, ks, ki } = report.gains;
-        let numbers = [kv, kl, ks, ki, report.mean_abs_along_m, report.mean_abs_cross_m];
-        let more = [report.mean_abs_heading_rad, report.along_mse_m2, report.cross_mse_m2];
-        for number in numbers.into_iter().chain(more).chain([report.max_abs_cross_m]) {
+        let errors =
+            [report.mean_abs_along_m, report.mean_abs_cross_m, report.mean_abs_heading_rad];
+        let more = [report.along_mse_m2, report.cross_mse_m2, report.max_abs_cross_m];
+        let gains = config::Gains::from_parameters(&report.parameters).to_array();
+        for number in gains.into_iter().chain(errors).chain(more) {
             digest.update(number.to_bits().to_le_bytes());
         }
         let counts = [report.seed, report.ticks, report.steering_limited_ticks, report.trace];

@@ -102,14 +102,11 @@ impl<M: Message<Header = TickHeader>> Side<M> {
                 },
             };
             let header = message.header();
-            if header.run == batch.run
-                && (header.batch, header.attempt) > (batch.batch, batch.attempt)
-            {
+            if header.attempt.is_ahead_of(&batch.attempt) {
                 self.early = Some(message);
                 return Ok(taken > 0);
             }
-            let fits = (header.run, header.batch, header.attempt, header.tick)
-                == (batch.run, batch.batch, batch.attempt, self.next_tick);
+            let fits = (header.attempt, header.tick) == (batch.attempt, self.next_tick);
             // Behind a gap nothing fits any more: the drive remains unfinished, and is driven again.
             if !fits || slots.iter().any(|slot| slot.slot >= message.items().len()) {
                 continue;
@@ -163,7 +160,7 @@ impl Recorder {
 
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) {
         self.slots.clear();
-        if header.run != self.run {
+        if !header.attempt.is_of(self.run) {
             return;
         }
         self.batch = header;

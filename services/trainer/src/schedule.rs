@@ -9,7 +9,8 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use config::{Gains, RunConfig, SweepKind, SweepPlan};
 use ipc_types::{
-    BatchHeader, DriveOutcome, DriveRequest, GainSwitch, LearnerProgress, Proposal, WakeRole, Zone,
+    Attempt, BatchHeader, DriveOutcome, DriveRequest, GainSwitch, LearnerProgress, Proposal,
+    WakeRole, Zone,
 };
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
@@ -111,7 +112,13 @@ impl Schedule {
             sweeping: Sweeping::new(bus, place, 0, drives)?,
             config,
             subject,
-            batch: (BatchHeader::default(), Vec::new()),
+            batch: (
+                BatchHeader {
+                    attempt: Attempt::between_batches(attachment.names.run),
+                    ..BatchHeader::default()
+                },
+                Vec::new(),
+            ),
             early: Vec::new(),
             switches: BTreeMap::new(),
             stage: Stage::Fresh,
@@ -134,13 +141,13 @@ impl Schedule {
     /// Hears which drives are under way; whether there was anything.
     fn hear_request(&mut self) -> Result<bool> {
         let Some(request) = self.requests.receive_newest()? else { return Ok(false) };
-        if request.header().run != self.run {
+        if !request.header().attempt.is_of(self.run) {
             self.counters.dropped += 1;
             return Ok(true);
         }
         let slots = request.items().iter().map(|slot| slot.learner).collect();
         self.batch = (request.header(), slots);
-        (self.counters.batch, self.counters.tick) = (self.batch.0.batch, 0);
+        (self.counters.batch, self.counters.tick) = (self.batch.0.attempt.batch, 0);
         for learner in &self.batch.1 {
             if let Some(index) = self.sweeping.sweep().index_of(*learner) {
                 self.switches.remove(&index);
@@ -166,12 +173,11 @@ impl Schedule {
         let Self { batch: (batch, slots), sweeping, config, switches, early, counters, .. } = self;
         let mut answers = Vec::with_capacity(zones.len());
         for (header, zone) in zones {
-            if (header.batch, header.attempt) > (batch.batch, batch.attempt) {
+            if header.attempt.is_ahead_of(&batch.attempt) {
                 early.push((header, zone));
                 continue;
             }
-            let is_of_batch = (header.run, header.batch, header.attempt)
-                == (batch.run, batch.batch, batch.attempt);
+            let is_of_batch = header.attempt == batch.attempt;
             let index = slots
                 .get(zone.slot as usize)
                 .filter(|_| is_of_batch)
@@ -203,9 +209,9 @@ impl Schedule {
                 name: entered.name.clone(),
                 gains,
             });
-            let gains = ipc_types::Gains { kv, kl, ks, ki };
+            let parameters = gains.to_parameters();
             let Zone { from_tick, slot, zone } = zone;
-            answers.push(GainSwitch { gains, from_tick, slot, zone });
+            answers.push(GainSwitch { parameters, from_tick, slot, zone });
         }
         if !answers.is_empty() {
             let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..*batch };
@@ -264,7 +270,7 @@ impl Service for Schedule {
             }
         }
         let Some(outcomes) = self.outcomes.receive()? else { return Ok(any) };
-        if outcomes.header().run != self.run || self.stage == Stage::Over {
+        if !outcomes.header().attempt.is_of(self.run) || self.stage == Stage::Over {
             self.counters.dropped += 1;
             return Ok(true);
         }

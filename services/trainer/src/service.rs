@@ -11,7 +11,8 @@ use std::thread::JoinHandle;
 use anyhow::{Context, Result, anyhow, ensure};
 use config::RunConfig;
 use ipc_types::{
-    BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, WakeRole,
+    Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal,
+    WakeRole,
 };
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
@@ -111,7 +112,8 @@ impl Trainer {
     }
 
     fn header(&self, flags: u32) -> BatchHeader {
-        BatchHeader { run: self.run, flags, sent_ns: now_ns(), ..BatchHeader::default() }
+        let attempt = Attempt::between_batches(self.run);
+        BatchHeader { attempt, flags, sent_ns: now_ns(), ..BatchHeader::default() }
     }
 
     /// Answers what memory can, writes the journal, and asks for the rest.
@@ -139,15 +141,14 @@ impl Trainer {
         let flags = if self.config.noise.enabled { DriveRequest::NOISE } else { 0 };
         self.proposals.send(self.header(0), wanted.len(), |index| {
             let wanted = wanted[index];
-            let config::Gains { kv, kl, ks, ki } = grid.gains(wanted.position);
             Proposal {
-                gains: ipc_types::Gains { kv, kl, ks, ki },
+                parameters: grid.gains(wanted.position).to_parameters(),
                 seed: wanted.seed,
                 ticks,
                 learner: wanted.learner,
                 step: wanted.step,
                 flags,
-                reserved: 0,
+                plant: 0,
             }
         })?;
         Ok(())
@@ -170,8 +171,8 @@ impl Trainer {
     }
 
     fn learn(&mut self, outcomes: &[DriveOutcome]) -> Result<()> {
-        for DriveOutcome { report, batch, .. } in outcomes {
-            self.counters.batch = *batch;
+        for DriveOutcome { report, attempt } in outcomes {
+            self.counters.batch = attempt.batch;
             let drive = to_record(report);
             // Asking again would bring the same report again.
             ensure!(drive.is_plausible(), "impossible numbers in a drive report: {report:?}");
@@ -368,7 +369,7 @@ impl Service for Trainer {
             Stage::Training | Stage::Over => {}
         }
         let Some(outcomes) = self.outcomes.receive()? else { return Ok(false) };
-        if outcomes.header().run != self.run {
+        if !outcomes.header().attempt.is_of(self.run) {
             self.counters.dropped += 1;
             return Ok(true);
         }

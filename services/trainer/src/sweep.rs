@@ -46,9 +46,8 @@ impl Sweep {
 
     fn proposal(&self, learner: u32, drive: &PlannedDrive) -> Proposal {
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
-        let Gains { kv, kl, ks, ki } = drive.by_zone[0];
         Proposal {
-            gains: ipc_types::Gains { kv, kl, ks, ki },
+            parameters: drive.by_zone[0].to_parameters(),
             seed: drive.seed.unwrap_or_default(),
             ticks: self.ticks,
             learner,
@@ -56,7 +55,7 @@ impl Sweep {
             flags: flag(drive.seed.is_some(), DriveRequest::NOISE)
                 | flag(drive.by_zone.len() > 1, DriveRequest::SCHEDULED)
                 | flag(drive.record.is_some(), DriveRequest::RECORDED),
-            reserved: 0,
+            plant: 0,
         }
     }
 

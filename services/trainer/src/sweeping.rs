@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use ipc_types::{BatchHeader, DriveOutcome, DriveReport, LearnerProgress, Proposal};
+use ipc_types::{Attempt, BatchHeader, DriveOutcome, DriveReport, LearnerProgress, Proposal};
 use runtime::Bus;
 use runtime::clock::now_ns;
 
@@ -163,6 +163,7 @@ impl Sweeping {
     }
 
     pub(crate) fn header(&self, flags: u32) -> BatchHeader {
-        BatchHeader { run: self.place.run, flags, sent_ns: now_ns(), ..BatchHeader::default() }
+        let attempt = Attempt::between_batches(self.place.run);
+        BatchHeader { attempt, flags, sent_ns: now_ns(), ..BatchHeader::default() }
     }
 }

@@ -2,16 +2,16 @@
 
 use std::io::{self, Write};
 
-use crate::Failure;
+use crate::words::Failure;
 
 /// Writes a line to standard output, from a function that returns a [`Failure`].
 macro_rules! say {
-    ($($words:tt)*) => { $crate::terminal::write_out(&format!($($words)*))? };
+    ($($words:tt)*) => { $crate::words::terminal::write_out(&format!($($words)*))? };
 }
 
 /// Writes a line to standard error, as far as that goes: it is no reason to stop anything.
 macro_rules! tell {
-    ($($words:tt)*) => { $crate::terminal::write_err(&format!($($words)*)) };
+    ($($words:tt)*) => { $crate::words::terminal::write_err(&format!($($words)*)) };
 }
 
 pub(crate) use {say, tell};

@@ -11,8 +11,8 @@ use std::time::Duration;
 use config::launch::{Launch, Role};
 use config::{RunConfig, SweepPlan};
 use ipc_types::{
-    BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal, Safety,
-    Status, WakeRole, WirePose, has,
+    Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal,
+    Safety, Status, WakeRole, WirePose, has,
 };
 use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;
@@ -22,17 +22,17 @@ use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Wait, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
-use crate::Failure;
-use crate::cores::Placement;
-use crate::housekeeping::RunState;
-use crate::member::{Member, Refused, State};
-use crate::observers::ObserverCare;
-use crate::process::clean_up_behind;
-use crate::progress::Progress;
-use crate::recovery::{RandomKills, Recoveries};
-use crate::restart::{Budget, Decision};
-use crate::result::RunFacts;
-use crate::sequencer::Sequencer;
+use crate::commands::housekeeping::RunState;
+use crate::pipeline::cores::Placement;
+use crate::pipeline::member::{Member, Refused, State};
+use crate::pipeline::observers::ObserverCare;
+use crate::pipeline::process::clean_up_behind;
+use crate::pipeline::progress::Progress;
+use crate::pipeline::recovery::{RandomKills, Recoveries};
+use crate::pipeline::restart::{Budget, Decision};
+use crate::pipeline::sequencer::Sequencer;
+use crate::runs::result::RunFacts;
+use crate::words::Failure;
 
 /// A batch without a tick for so long has lost a message; progress is told with each sign of life.
 const STALLED_AFTER_NS: u64 = 500_000_000;
@@ -262,7 +262,7 @@ impl<'a> Pipeline<'a> {
         while let Some(message) = self.status.receive()? {
             heard = true;
             let Some(status) = message.items().first().copied() else { continue };
-            let from_this_run = message.header().run == self.attachment.names.run;
+            let from_this_run = message.header().attempt.is_of(self.attachment.names.run);
             let member = self.members.iter_mut().find(|member| {
                 member.wire_role() == status.role && member.incarnation == status.incarnation
             });
@@ -313,7 +313,7 @@ impl<'a> Pipeline<'a> {
         while let Some(message) = self.proposals.receive()? {
             heard = true;
             let header = message.header();
-            if header.run != self.attachment.names.run {
+            if !header.attempt.is_of(self.attachment.names.run) {
                 continue;
             }
             if has(header.flags, Proposal::FINISHED) {
@@ -380,7 +380,8 @@ impl<'a> Pipeline<'a> {
     fn tell_trainer(&self, outcomes: &[DriveOutcome]) -> Result<(), Failure> {
         if !outcomes.is_empty() {
             let run = self.attachment.names.run;
-            let header = BatchHeader { run, sent_ns: now_ns(), ..BatchHeader::default() };
+            let attempt = Attempt::between_batches(run);
+            let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
             self.outcomes.send(header, outcomes.len(), |index| outcomes[index])?;
         }
         Ok(())
@@ -393,7 +394,8 @@ impl<'a> Pipeline<'a> {
         }
         let broken = std::mem::take(&mut self.batch_is_broken);
         let batch = if broken { self.sequencer.reissue() } else { None }.map(|(header, drives)| {
-            tracing::info!(batch = header.batch, attempt = header.attempt, "reissued");
+            let Attempt { batch, attempt, .. } = header.attempt;
+            tracing::info!(batch, attempt, "reissued");
             (header, drives)
         });
         let Some((header, drives)) = (match batch {

@@ -11,11 +11,12 @@ use serde_json::Value;
 use toml::{Table, Value as Toml};
 
 use crate::cli::ReplayArgs;
-use crate::pipeline::{Interrupts, Plan};
-use crate::restart::Budget;
-use crate::setup::read;
-use crate::train::run;
-use crate::{Failure, preflight};
+use crate::commands::train::run;
+use crate::pipeline::main_loop::{Interrupts, Plan};
+use crate::pipeline::restart::Budget;
+use crate::runs::preflight;
+use crate::runs::setup::read;
+use crate::words::Failure;
 
 /// The recorded configuration, with what the user puts on top of it.
 ///

@@ -7,20 +7,21 @@
 
 use std::collections::BTreeMap;
 
-use ipc_types::{BatchHeader, DriveOutcome, DriveReport, DriveRequest, Proposal, WirePose};
+use ipc_types::{
+    Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, Proposal, WirePose,
+};
 
 /// Which drives are made when.
 #[derive(Debug)]
 pub struct Sequencer {
-    run: u64,
     start: WirePose,
     fleet: usize,
     /// Drives of these learners are counted; others are made beside them.
     learners: u32,
     /// Bits that every request carries.
     flags: u32,
-    batch: u64,
-    attempt: u32,
+    /// The attempt that is or was last under way.
+    attempt: Attempt,
     proposals: Vec<Proposal>,
     driving: Vec<DriveRequest>,
     /// The last outcome of each learner.
@@ -47,13 +48,11 @@ impl Sequencer {
     /// A sequencer before the first batch, for a fleet of so many vehicles and so many learners.
     pub fn new(run: u64, start: WirePose, fleet: usize, learners: u32) -> Self {
         Self {
-            run,
             start,
             fleet,
             learners,
             flags: 0,
-            batch: 0,
-            attempt: 0,
+            attempt: Attempt::between_batches(run),
             proposals: Vec::new(),
             driving: Vec::new(),
             outcomes: BTreeMap::new(),
@@ -103,20 +102,20 @@ impl Sequencer {
         if !self.driving.is_empty() || self.proposals.is_empty() {
             return None;
         }
-        self.batch += 1;
-        self.attempt = 1;
+        self.attempt.batch += 1;
+        self.attempt.attempt = 1;
         self.driving = self
             .proposals
             .drain(..self.fleet.min(self.proposals.len()))
             .map(|proposal| DriveRequest {
                 start: self.start,
-                gains: proposal.gains,
+                parameters: proposal.parameters,
                 seed: proposal.seed,
                 ticks: proposal.ticks,
                 learner: proposal.learner,
                 step: proposal.step,
                 flags: proposal.flags | self.flags,
-                reserved: 0,
+                plant: proposal.plant,
             })
             .collect();
         // The trainer asks again for the rest once it has learnt from this batch.
@@ -129,7 +128,7 @@ impl Sequencer {
         if self.driving.is_empty() {
             return None;
         }
-        self.attempt += 1;
+        self.attempt.attempt += 1;
         self.counts.reissued += self.driving.len() as u64;
         Some((self.header(), &self.driving))
     }
@@ -140,8 +139,7 @@ impl Sequencer {
         header: BatchHeader,
         reports: &[DriveReport],
     ) -> Option<Vec<DriveOutcome>> {
-        let fits = (header.run, header.batch, header.attempt)
-            == (self.run, self.batch, self.attempt)
+        let fits = header.attempt == self.attempt
             && reports.len() == self.driving.len()
             && !self.driving.is_empty()
             && self.driving.iter().zip(reports).all(|(drive, report)| {
@@ -155,12 +153,7 @@ impl Sequencer {
         self.driving.clear();
         let outcomes: Vec<DriveOutcome> = reports
             .iter()
-            .map(|report| DriveOutcome {
-                report: *report,
-                batch: self.batch,
-                attempt: self.attempt,
-                reserved: 0,
-            })
+            .map(|report| DriveOutcome { report: *report, attempt: self.attempt })
             .collect();
         for outcome in &outcomes {
             if outcome.report.learner < self.learners {
@@ -186,12 +179,12 @@ impl Sequencer {
 
     /// Number of the batch that is or was last under way.
     pub fn batch(&self) -> u64 {
-        self.batch
+        self.attempt.batch
     }
 
     /// The attempt at it.
     pub fn attempt(&self) -> u32 {
-        self.attempt
+        self.attempt.attempt
     }
 
     /// What was driven.
@@ -200,12 +193,7 @@ impl Sequencer {
     }
 
     fn header(&self) -> BatchHeader {
-        BatchHeader {
-            run: self.run,
-            batch: self.batch,
-            attempt: self.attempt,
-            ..BatchHeader::default()
-        }
+        BatchHeader { attempt: self.attempt, ..BatchHeader::default() }
     }
 }
 
@@ -241,7 +229,8 @@ mod tests {
         let mut sequencer = sequencer(2);
         sequencer.propose(&[proposal(0, 7), proposal(1, 3), proposal(2, 5)]);
         let (header, drives) = sequencer.next_batch().unwrap();
-        assert_eq!((header.run, header.batch, header.attempt), (9, 1, 1));
+        let first = Attempt { run: 9, batch: 1, attempt: 1, reserved: 0 };
+        assert_eq!(header.attempt, first);
         assert_eq!(drives.iter().map(|drive| drive.learner).collect::<Vec<_>>(), [1, 2]);
         assert!(sequencer.next_batch().is_none());
     }
@@ -253,10 +242,11 @@ mod tests {
         let (first, drives) = sequencer.next_batch().unwrap();
         let reports = reports(drives);
         let (second, again) = sequencer.reissue().unwrap();
-        assert_eq!((second.batch, second.attempt, again[0].seed), (1, 2, reports[0].seed));
+        assert_eq!((second.attempt.batch, second.attempt.attempt), (1, 2));
+        assert_eq!(again[0].seed, reports[0].seed);
         assert!(sequencer.report(first, &reports).is_none());
         assert!(sequencer.report(second, &[]).is_none());
-        assert_eq!(sequencer.report(second, &reports).unwrap()[0].attempt, 2);
+        assert_eq!(sequencer.report(second, &reports).unwrap()[0].attempt, second.attempt);
         assert!(sequencer.report(second, &reports).is_none());
         let counts = sequencer.counts();
         assert_eq!((counts.driven, counts.reissued, counts.dropped), (1, 1, 3));

@@ -10,12 +10,13 @@ use config::{RunConfig, SweepPlan};
 use runtime::run::{LOCK_FILE, RunNames};
 
 use crate::cli::{TrainArgs, TunerArg};
-use crate::pipeline::{Pipeline, Plan, log_of_orchestrator};
-use crate::progress::Progress;
-use crate::result::{RunFacts, write_result};
-use crate::setup::{self, Ended, Folder, Ready};
-use crate::terminal::say;
-use crate::{Failure, preflight, tables};
+use crate::pipeline::main_loop::{Pipeline, Plan, log_of_orchestrator};
+use crate::pipeline::progress::Progress;
+use crate::runs::preflight;
+use crate::runs::result::{RunFacts, write_result};
+use crate::runs::setup::{self, Ended, Folder, Ready};
+use crate::words::terminal::say;
+use crate::words::{Failure, tables};
 
 /// Trains a manoeuvre to its end, or goes on with a training that was interrupted.
 ///

@@ -2,14 +2,14 @@
 
 use std::time::{Duration, Instant};
 
-use ipc_types::{BatchHeader, Rearm, Safety};
+use ipc_types::{Attempt, BatchHeader, Rearm, Safety};
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
 
-use crate::Failure;
-use crate::housekeeping::living_run;
-use crate::pipeline::describe_reasons;
-use crate::terminal::say;
+use crate::commands::housekeeping::living_run;
+use crate::pipeline::main_loop::describe_reasons;
+use crate::words::Failure;
+use crate::words::terminal::say;
 
 /// The supervisor tells its state with every command: it answers within this, or not at all.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
@@ -48,8 +48,8 @@ pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
             }
             if let Some(slots) = &meant {
                 // Again and again: it is heard only while the vehicle stands.
-                let header =
-                    BatchHeader { run: run.names.run, sent_ns: now_ns(), ..BatchHeader::default() };
+                let attempt = Attempt::between_batches(run.names.run);
+                let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
                 for slot in slots {
                     rearms.send(header, 1, |_| Rearm { slot: *slot, reserved: 0 })?;
                 }

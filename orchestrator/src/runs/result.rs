@@ -7,8 +7,8 @@ use anyhow::{Context, Result};
 use config::RunConfig;
 use serde_json::{Map, Value, json};
 
-use crate::member::Refused;
-use crate::sequencer::Counts;
+use crate::pipeline::member::Refused;
+use crate::pipeline::sequencer::Counts;
 
 /// What only the orchestrator knows of a run.
 pub(crate) struct RunFacts {

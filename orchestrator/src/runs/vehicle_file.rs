@@ -6,7 +6,7 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::Failure;
+use crate::words::Failure;
 
 /// How long another promotion is waited for.
 const PATIENCE: Duration = Duration::from_secs(5);

@@ -9,8 +9,8 @@ use config::launch::Launch;
 use runtime::waiting;
 use rustix::mm::munlockall;
 
-use crate::Failure;
-use crate::terminal::tell;
+use crate::words::Failure;
+use crate::words::terminal::tell;
 
 /// Checks that the programs and services of a launch file exist.
 pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {

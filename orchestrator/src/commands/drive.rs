@@ -6,11 +6,11 @@ use std::path::Path;
 use config::{Gains, RunConfig, SweepKind, SweepPlan, TunedGains, check_gains};
 use serde_json::Value;
 
-use crate::Failure;
 use crate::cli::DriveArgs;
-use crate::setup::{self, Ended};
-use crate::sweep::{Kind, parse_sets, sweep};
-use crate::tables;
+use crate::commands::sweep::{Kind, parse_sets, sweep};
+use crate::runs::setup::{self, Ended};
+use crate::words::Failure;
+use crate::words::tables;
 
 /// Drives once.
 ///

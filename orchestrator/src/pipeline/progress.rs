@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ipc_types::{LearnerProgress, has};
 
-use crate::sequencer::Counts;
-use crate::terminal::tell;
+use crate::pipeline::sequencer::Counts;
+use crate::words::terminal::tell;
 
 /// How often the terminal is drawn anew.
 const REDRAW: Duration = Duration::from_millis(100);

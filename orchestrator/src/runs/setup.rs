@@ -11,10 +11,11 @@ use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
 
 use crate::cli::{SetupArgs, WaitArg};
-use crate::pipeline::{Interrupts, Plan};
-use crate::restart::Budget;
-use crate::terminal::{say, tell};
-use crate::{Failure, preflight};
+use crate::pipeline::main_loop::{Interrupts, Plan};
+use crate::pipeline::restart::Budget;
+use crate::runs::preflight;
+use crate::words::Failure;
+use crate::words::terminal::{say, tell};
 
 /// The layers that every command shares: manoeuvre or own path, vehicle, file, single keys.
 pub(crate) fn layers(maneuver: Option<&str>, args: &SetupArgs) -> Result<Layers, Failure> {

@@ -13,10 +13,10 @@ use rustix::process::{Pid, Resource, Signal, getrlimit, kill_process};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::Failure;
-use crate::member::Refused;
-use crate::process::last_lines;
-use crate::terminal::say;
+use crate::pipeline::member::Refused;
+use crate::pipeline::process::last_lines;
+use crate::words::Failure;
+use crate::words::terminal::say;
 
 /// What a living run tells of itself, in a file in its private folder.
 #[derive(Debug, Clone, Serialize, Deserialize)]

@@ -6,11 +6,11 @@ use config::{Gains, MAX_FLEET, RunConfig, SweepKind, SweepPlan};
 use serde_json::Value;
 
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
-use crate::result::write_result;
-use crate::setup::{self, Ended, Folder};
-use crate::terminal::{say, tell};
-use crate::train::run_or_unmake;
-use crate::{Failure, tables};
+use crate::commands::train::run_or_unmake;
+use crate::runs::result::write_result;
+use crate::runs::setup::{self, Ended, Folder};
+use crate::words::terminal::{say, tell};
+use crate::words::{Failure, tables};
 
 /// Drives the paper's gain sets, or the user's, without noise and with it.
 ///

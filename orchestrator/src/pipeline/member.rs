@@ -10,13 +10,13 @@ use runtime::clock::now_ns;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Failure;
-use crate::cores::Placement;
-use crate::housekeeping::ProcessState;
-use crate::pipeline::Plan;
-use crate::process::{Process, describe, last_lines};
-use crate::restart::{Budget, RestartPolicy};
-use crate::result::ProcessFacts;
+use crate::commands::housekeeping::ProcessState;
+use crate::pipeline::cores::Placement;
+use crate::pipeline::main_loop::Plan;
+use crate::pipeline::process::{Process, describe, last_lines};
+use crate::pipeline::restart::{Budget, RestartPolicy};
+use crate::runs::result::ProcessFacts;
+use crate::words::Failure;
 
 /// A process must be ready this soon after its start: it opens a dozen files.
 const READY_WITHIN_NS: u64 = 5_000_000_000;

@@ -8,10 +8,11 @@ use config::{Gains, Layers, Provenance, RunConfig, TunedGains, Vehicle, check_ga
 use serde_json::{Value, json};
 
 use crate::cli::GainsCommand;
-use crate::tables::{digits, table_of, trim};
-use crate::terminal::{say, tell};
-use crate::vehicle_file::VehicleFile;
-use crate::{Failure, preflight};
+use crate::runs::preflight;
+use crate::runs::vehicle_file::VehicleFile;
+use crate::words::Failure;
+use crate::words::tables::{digits, table_of, trim};
+use crate::words::terminal::{say, tell};
 
 /// Shows, promotes or brings back the gains of a vehicle's file.
 ///

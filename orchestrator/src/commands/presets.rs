@@ -2,9 +2,9 @@
 
 use std::fs;
 
-use crate::Failure;
 use crate::cli::{ConfigCommand, SchemaArgs};
-use crate::terminal::say;
+use crate::words::Failure;
+use crate::words::terminal::say;
 
 /// Prints the messages and topics for another language.
 ///

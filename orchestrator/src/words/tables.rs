@@ -5,8 +5,8 @@ use comfy_table::{CellAlignment, Table};
 use config::{Gains, RunConfig};
 use serde_json::Value;
 
-use crate::Failure;
-use crate::terminal::say;
+use crate::words::Failure;
+use crate::words::terminal::say;
 
 /// The table of a training, and what else is worth knowing of it.
 pub(crate) fn print_training(config: &RunConfig, result: &Value) -> Result<(), Failure> {

@@ -8,7 +8,7 @@ use std::process::Child;
 use runtime::observer::{dead_observers, forget_observer};
 use runtime::{Attachment, cleanup};
 
-use crate::process::spawn_cleaner;
+use crate::pipeline::process::spawn_cleaner;
 
 /// Between two looks for dead observers.
 const LOOK_EVERY_NS: u64 = 500_000_000;

@@ -1,0 +1,13 @@
+//! The processes of one run, and the loop that joins them.
+//!
+//! Read [`main_loop`] first. [`sequencer`] and [`restart`] decide, and are pure; [`process`] acts.
+
+pub(crate) mod cores;
+pub(crate) mod main_loop;
+pub(crate) mod member;
+pub(crate) mod observers;
+pub mod process;
+pub(crate) mod progress;
+pub(crate) mod recovery;
+pub mod restart;
+pub mod sequencer;

@@ -1,0 +1,8 @@
+//! What is said to the user: lines, tables, and how a command failed.
+
+pub(crate) mod failure;
+pub(crate) mod tables;
+pub(crate) mod terminal;
+
+pub use failure::Failure;
+pub use terminal::{print_failure, print_line, print_usage_error};
