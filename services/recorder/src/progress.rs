@@ -125,7 +125,7 @@ mod tests {
         // A broken attempt has no end to miss; the last one has.
         note(&mut progress, at(2, 2), 0..4);
         reported.note(at(2, 2), 4);
-        assert_eq!((progress.ticks_of(at(2, 2)), progress.ticks_of(at(2, 1))), at(4, 0));
+        assert_eq!((progress.ticks_of(at(2, 2)), progress.ticks_of(at(2, 1))), (4, 0));
         // A whole batch was missed.
         reported.note(at(3, 1), 10);
         note(&mut progress, at(4, 1), 0..1);
