@@ -301,6 +301,7 @@ macro_rules! constants {
 pub(crate) use constants;
 
 #[cfg(test)]
+#[allow(unreachable_pub, reason = "the macro makes messages that others see")]
 mod tests {
     use super::*;
 
