@@ -6,10 +6,10 @@
 //! The rooms, from what the user types down to what runs:
 //! - [`cli`]: the command line as types.
 //! - [`commands`]: what each command does, from its options to its exit code.
-//! - [`conformance`] and [`bench`]: the two commands that are more than a page.
+//! - [`conformance`] and `bench`: the two commands that are more than a page.
 //! - [`runs`]: what a run needs around its pipeline: checks, folder, result, and how other terminals find it.
 //! - [`pipeline`]: the processes of one run and the loop that joins them. [`pipeline::sequencer`] and
-//!   [`pipeline::restart`] decide, and are pure; [`pipeline::process`] and [`pipeline::main_loop`] act.
+//!   [`pipeline::restart`] decide, and are pure; [`pipeline::process`] and `pipeline::main_loop` act.
 //! - [`words`]: what is said to the user.
 //!
 //! A room uses those below it, and `pipeline` and `words` know no command.

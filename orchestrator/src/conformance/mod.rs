@@ -1,7 +1,7 @@
 //! `pathtune conformance`: whether a program keeps to the vehicle's part of the contract.
 //!
-//! It runs alone on a bus of its own. Orchestrator, supervisor and recorder are played by the [`stand`]; what is
-//! asked of it lies in one table, [`checks`], and each check fails for its own reason: what another one needs is
+//! It runs alone on a bus of its own. Orchestrator, supervisor and recorder are played by the `stand`; what is
+//! asked of it lies in one table, `checks`, and each check fails for its own reason: what another one needs is
 //! not blamed twice.
 
 mod checks;

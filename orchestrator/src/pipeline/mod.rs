@@ -1,6 +1,6 @@
 //! The processes of one run, and the loop that joins them.
 //!
-//! Read [`main_loop`] first. [`sequencer`] and [`restart`] decide, and are pure; [`process`] acts.
+//! Read `main_loop` first. [`sequencer`] and [`restart`] decide, and are pure; [`process`] acts.
 
 pub(crate) mod cores;
 pub(crate) mod main_loop;
