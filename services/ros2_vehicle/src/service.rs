@@ -293,7 +293,7 @@ impl Service for Adapter {
 }
 
 /// What a restarted process finds of the drive under way.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BatchFile {
     /// In hexadecimal digits, as everywhere: TOML has no number that large.
