@@ -62,6 +62,17 @@ impl NamedParameters {
     }
 }
 
+/// As in `kv=3, kl=21`: for log lines and sentences.
+impl fmt::Display for NamedParameters {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        for (place, (name, value)) in self.0.iter().enumerate() {
+            let comma = if place > 0 { ", " } else { "" };
+            write!(f, "{comma}{name}={value}")?;
+        }
+        Ok(())
+    }
+}
+
 impl Serialize for NamedParameters {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(Some(self.0.len()))?;

@@ -528,12 +528,12 @@ message!(
 
 message!(
     /// Where one learner stands. Sent by the trainer, one a learner.
-    #[name = "pathtune.LearnerProgress#eaac3176"]
+    #[name = "pathtune.LearnerProgress#9db66e06"]
     pub struct LearnerProgress {
         /// Exploration rate of the current episode.
         pub epsilon: f64,
-        /// Least distance to the goal so far; infinite before the first drive.
-        pub best_distance: f64,
+        /// Least value of the objective so far; infinite before the first drive.
+        pub best_value: f64,
         /// Drives asked for.
         pub asked: u64,
         /// The current episode, counted from 0; what is done of something else, as the header's flags say.

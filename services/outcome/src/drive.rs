@@ -4,7 +4,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Measures, ParameterTable, Switch};
+use crate::{Drives, Measures, ParameterTable, Switch};
 
 /// What a single drive has come to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -14,6 +14,8 @@ pub struct SingleDrive {
     /// The set of each manoeuvre, or one for all.
     #[schemars(with = "Vec<ParameterTable>")]
     pub gains: Vec<NamedParameters>,
+    /// The drives that it made.
+    pub drives: Drives,
     /// Why it ended: `time`, `goal` or `collision`.
     pub reason: String,
     /// Seconds that were driven, stops left out.

@@ -6,7 +6,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Measures, ParameterTable};
+use crate::{Drives, Measures, ParameterTable};
 
 /// What a sweep of the grid has come to; `grid.csv` holds every set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -15,6 +15,8 @@ pub struct GridResult {
     pub digest: String,
     /// Number of sets.
     pub size: usize,
+    /// The drives that it made.
+    pub drives: Drives,
     /// The best sets by the objective.
     pub best: Vec<RankedSet>,
     /// The best sets by the distance.

@@ -4,7 +4,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Measures, ParameterTable};
+use crate::{Drives, Measures, ParameterTable};
 
 /// What a validation has come to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -13,6 +13,8 @@ pub struct ValidateResult {
     pub digest: String,
     /// Noisy drives of each row.
     pub repeats: u64,
+    /// The drives that it made.
+    pub drives: Drives,
     /// The rows.
     pub rows: Vec<ValidatedRow>,
     /// exp of the root mean square of ln(ours / paper's), over all figures that the paper has.

@@ -1,9 +1,12 @@
 //! What is remembered of a drive: mean errors, distances from the path, why it ended.
 
+use serde::{Deserialize, Serialize};
+
 use crate::TrackingError;
 
 /// Why a drive ended.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum EndReason {
     /// The drive's time was over.
     #[default]
@@ -19,7 +22,8 @@ pub enum EndReason {
 /// Every mean is over the ticks of the drive; where a collision cut the drive short, the ticks that it
 /// cut off score the last error, else crashing early would pay. Poses are true ones where the vehicle knows them,
 /// else measured ones.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct DriveRecord {
     /// Ticks driven.
     pub ticks: u64,

@@ -9,11 +9,10 @@ use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use config::GridPosition;
 use serde::{Deserialize, Serialize};
+use tracking::DriveRecord;
 
-use crate::training::Step;
-use crate::{DriveRecord, Training};
+use crate::training::{Taken, Training};
 
 /// A journal that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -29,6 +28,10 @@ pub enum JournalError {
         "the journal {path} belongs to another configuration; resume with the one it was made with"
     )]
     Foreign { path: PathBuf },
+    #[error(
+        "the journal {path} was made by an earlier version of pathtune; resume with that version, or train anew"
+    )]
+    Earlier { path: PathBuf },
     #[error("the journal {path} is in use by another training")]
     InUse { path: PathBuf },
 }
@@ -40,17 +43,25 @@ struct Opening {
     configuration: String,
 }
 
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// How long a journal is waited for that somebody else still holds.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 
+/// A step. One that was answered from memory holds no drive: an earlier record does.
 #[derive(Debug, Serialize, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 struct Record {
     learner: u32,
     step: u32,
-    set: GridPosition,
-    remembered: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    driven: Option<DrivenStep>,
+}
+
+#[derive(Debug, Serialize, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+struct DrivenStep {
+    /// The law's parameters, in its order.
+    parameters: Vec<f64>,
     drive: DriveRecord,
 }
 
@@ -59,12 +70,14 @@ struct Record {
 pub struct Journal {
     path: PathBuf,
     file: File,
+    /// Number of the law's parameters.
+    parameters: usize,
     unwritten: Vec<u8>,
     syncing: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Journal {
-    /// Opens or starts the journal of a training, and replays into `training` what it holds.
+    /// Opens or starts the journal of a training, and replays into `training` what it holds; shows each step to `each`.
     /// `configuration` is a hash of everything that decides the training.
     ///
     /// # Errors
@@ -73,6 +86,7 @@ impl Journal {
         path: &Path,
         configuration: &str,
         training: &mut Training,
+        each: impl FnMut(&Taken),
     ) -> Result<Self, JournalError> {
         let io = |source| JournalError::Io { path: path.to_owned(), source };
         let mut file = OpenOptions::new()
@@ -92,14 +106,19 @@ impl Journal {
         }
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).map_err(io)?;
-        let whole = replay(path, &bytes, configuration, training)?;
+        let whole = replay(path, &bytes, configuration, training, each)?;
         if whole < bytes.len() {
             tracing::warn!(bytes = bytes.len() - whole, "cut a torn record off the journal");
             file.set_len(whole as u64).map_err(io)?;
         }
         file.seek(SeekFrom::Start(whole as u64)).map_err(io)?;
-        let mut journal =
-            Self { path: path.to_owned(), file, unwritten: Vec::new(), syncing: None };
+        let mut journal = Self {
+            path: path.to_owned(),
+            file,
+            parameters: training.law().count(),
+            unwritten: Vec::new(),
+            syncing: None,
+        };
         if whole == 0 {
             journal.add(&Opening { journal: VERSION, configuration: configuration.to_owned() });
         }
@@ -107,10 +126,13 @@ impl Journal {
     }
 
     /// Notes a step; [`Journal::write`] brings it to the file.
-    pub fn note(&mut self, step: &Step) {
-        let Step { wanted, drive, remembered } = *step;
-        let (learner, step, set) = (wanted.learner, wanted.step, wanted.position);
-        self.add(&Record { learner, step, set, remembered, drive });
+    pub fn note(&mut self, taken: &Taken) {
+        let Taken { ask, drive, remembered, .. } = taken;
+        let driven = (!remembered).then(|| DrivenStep {
+            parameters: ask.parameters.0[..self.parameters].to_vec(),
+            drive: *drive,
+        });
+        self.add(&Record { learner: ask.learner, step: ask.step, driven });
     }
 
     fn add(&mut self, record: &impl Serialize) {
@@ -164,6 +186,7 @@ fn replay(
     bytes: &[u8],
     configuration: &str,
     training: &mut Training,
+    mut each: impl FnMut(&Taken),
 ) -> Result<usize, JournalError> {
     let mut offset = 0;
     while offset < bytes.len() {
@@ -179,23 +202,36 @@ fn replay(
         if offset == 0 {
             let opening: Opening = serde_json::from_slice(json)
                 .map_err(|_| damaged("it does not begin as a journal does"))?;
+            if opening.journal < VERSION {
+                return Err(JournalError::Earlier { path: path.to_owned() });
+            }
             if opening != (Opening { journal: VERSION, configuration: configuration.to_owned() }) {
                 return Err(JournalError::Foreign { path: path.to_owned() });
             }
         } else {
             let record: Record = serde_json::from_slice(json)
                 .map_err(|error| damaged(&format!("not a record: {error}")))?;
-            if !record.drive.is_plausible() {
-                return Err(damaged("a drive with impossible numbers"));
-            }
-            let step = training.take(record.learner, record.step, record.drive);
-            if step.is_none_or(|step| step.wanted.position != record.set) {
-                return Err(damaged("a step that the training does not make"));
-            }
+            let taken = take(training, &record).map_err(damaged)?;
+            each(&taken);
         }
         offset += length + 1;
     }
     Ok(offset)
+}
+
+/// Takes a step once more.
+fn take(training: &mut Training, record: &Record) -> Result<Taken, &'static str> {
+    let Record { learner, step, driven } = record;
+    let taken = match driven {
+        None => training.take_remembered(*learner, *step),
+        Some(DrivenStep { drive, .. }) if !drive.is_plausible() => {
+            return Err("a drive with impossible numbers");
+        }
+        Some(DrivenStep { parameters, drive }) => training
+            .take(*learner, *step, *drive)
+            .filter(|taken| taken.ask.parameters.0[..training.law().count()] == parameters[..]),
+    };
+    taken.ok_or("a step that the training does not make")
 }
 
 fn checked(line: &[u8]) -> Option<&[u8]> {
@@ -208,8 +244,7 @@ fn checked(line: &[u8]) -> Option<&[u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Ranking;
-    use crate::digest::digest;
+    use crate::{Ranking, digest};
     use config::{Layers, RunConfig};
     use proptest::prelude::*;
     use std::fs;
@@ -227,14 +262,14 @@ mod tests {
     fn train(path: &Path, config: &RunConfig, most_drives: usize) -> Result<String, JournalError> {
         // Driven once for all tests: a training is then a matter of microseconds.
         static RANKING: LazyLock<Ranking> = LazyLock::new(|| Ranking::by_rollout(&self::config()));
-        let mut training = Training::new(config);
-        let mut journal = Journal::open(path, "c", &mut training)?;
+        let mut training = Training::new(config, *RANKING.objective());
+        let mut journal = Journal::open(path, "c", &mut training, |_| {})?;
         for _ in 0..most_drives {
-            training.remember(usize::MAX, |step| journal.note(step));
-            let Some(wanted) = training.wanted().first().copied() else { break };
-            let drive = *RANKING.drive(wanted.position);
-            let step = training.take(wanted.learner, wanted.step, drive).unwrap();
-            journal.note(&step);
+            training.remember(usize::MAX, |taken| journal.note(taken));
+            let Some(ask) = training.wanted().first().copied() else { break };
+            let drive = RANKING.drive(&ask.parameters);
+            let taken = training.take(ask.learner, ask.step, drive).unwrap();
+            journal.note(&taken);
             journal.write()?;
         }
         Ok(digest(&training))
@@ -284,17 +319,25 @@ mod tests {
             damaged[at] ^= 1;
             fs::write(&path, &damaged).unwrap();
             let error = train(&path, &config(), 0).unwrap_err().to_string();
-            assert!(error.contains("byte") || error.contains("another configuration"), "{error}");
+            let names = ["byte", "another configuration", "an earlier version"];
+            assert!(names.iter().any(|name| error.contains(name)), "{error}");
         }
     }
 
     #[test]
-    fn a_journal_of_another_configuration_is_refused() {
+    fn a_journal_of_another_configuration_or_version_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
         train(&path, &config(), 3).unwrap();
-        let mut training = Training::new(&config());
-        let error = Journal::open(&path, "d", &mut training).unwrap_err();
-        assert!(matches!(error, JournalError::Foreign { .. }));
+        let open = |path: &Path| {
+            let config = config();
+            let mut training = Training::new(&config, crate::objective_of(&config));
+            Journal::open(path, "d", &mut training, |_| {}).unwrap_err()
+        };
+        assert!(matches!(open(&path), JournalError::Foreign { .. }));
+        // The first line of a journal as earlier versions wrote it.
+        let earlier = r#"{"journal":1,"configuration":"d"}"#;
+        fs::write(&path, format!("{:08x} {earlier}\n", crc32fast::hash(earlier.as_bytes()))).unwrap();
+        assert!(matches!(open(&path), JournalError::Earlier { .. }));
     }
 }

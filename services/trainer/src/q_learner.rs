@@ -359,6 +359,7 @@ fn random_position(grid: &Grid, rng: &mut Stream) -> GridPosition {
 mod tests {
     use super::*;
     use config::Layers;
+    use tracking::EndReason;
 
     fn config(sets: &[&str]) -> RunConfig {
         let mut layers = Layers::maneuver("lane_change").unwrap();
@@ -474,8 +475,8 @@ mod tests {
     fn a_collision_costs_its_penalty() {
         let mut learner = learner(&["collision.enabled=true"], 0.5);
         learn(&mut learner, &drive(1.0));
-        learner.learn(&DriveRecord { collision: true, ..drive(1.0) });
-        assert_eq!(learner.episodes[0].rewards, [-1.0]);
+        let crash = DriveRecord { reason: EndReason::Collision, ..drive(1.0) };
+        assert_eq!(learn(&mut learner, &crash).reward, Some(-1.0));
     }
 
     #[test]

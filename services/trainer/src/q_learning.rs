@@ -12,7 +12,7 @@ use crate::q_learner::QLearner;
 use crate::tuners::{Ask, LearnerState, Told, Tuner};
 
 /// In what the tuners of this family differ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Method {
     /// Whether parameters on which the terminal sets agree are locked.
     pub(crate) locks: bool,

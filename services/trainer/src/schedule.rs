@@ -7,19 +7,21 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
-use config::{Gains, RunConfig, SweepKind, SweepPlan};
+use config::{RunConfig, SweepKind, SweepPlan};
 use ipc_types::{
     Attempt, BatchHeader, DriveOutcome, DriveRequest, GainSwitch, LearnerProgress, Proposal,
     WakeRole, Zone,
 };
+use outcome::{Outcome, Switch};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 
 use crate::grid::GridSweep;
+use crate::result::decided;
 use crate::service::write_outcome;
 use crate::single::SingleDrive;
 use crate::sweeping::{Place, Progress, Sweeping};
-use crate::validation::{Switch, Validation};
+use crate::validation::Validation;
 
 /// Runs the process until it is asked to stop.
 ///
@@ -82,9 +84,9 @@ impl Schedule {
         attachment: &Attachment,
     ) -> Result<Self> {
         let subject = match plan.kind {
-            SweepKind::Validate => Subject::Validation(Validation::new(&config, plan)),
-            SweepKind::Grid => Subject::Grid(GridSweep::new(&config, plan)),
-            SweepKind::Drive => Subject::Drive(SingleDrive::new(&config, plan)),
+            SweepKind::Validate => Subject::Validation(Validation::new(&config, plan)?),
+            SweepKind::Grid => Subject::Grid(GridSweep::new(&config, plan)?),
+            SweepKind::Drive => Subject::Drive(SingleDrive::new(&config, plan)?),
         };
         let drives = match &subject {
             Subject::Validation(validation) => validation.drives(),
@@ -168,7 +170,7 @@ impl Schedule {
         Ok(true)
     }
 
-    /// Answers zones with their gains, in one message.
+    /// Answers zones with their parameters, in one message.
     fn answer(&mut self, zones: Vec<(BatchHeader, Zone)>) -> Result<()> {
         let Self { batch: (batch, slots), sweeping, config, switches, early, counters, .. } = self;
         let mut answers = Vec::with_capacity(zones.len());
@@ -188,28 +190,25 @@ impl Schedule {
             };
             let by_zone = &sweeping.sweep().drive(index).by_zone;
             let entered = config.path.zones.get(zone.zone as usize);
-            let (Some(&gains), Some(entered)) = (by_zone.get(zone.zone as usize), entered) else {
+            let (Some(&parameters), Some(entered)) = (by_zone.get(zone.zone as usize), entered) else {
                 // A single set holds in all zones.
                 continue;
             };
-            let Gains { kv, kl, ks, ki } = gains;
+            let named = config.law.named(&parameters);
             tracing::info!(
                 tick = zone.from_tick,
                 drive = index,
                 zone = entered.name,
-                kv,
-                kl,
-                ks,
-                ki,
+                parameters = %named,
                 "switch"
             );
             switches.entry(index).or_default().push(Switch {
                 tick: zone.from_tick,
                 zone: zone.zone,
                 name: entered.name.clone(),
-                gains,
+                gains: named,
             });
-            let parameters = gains.to_parameters();
+            let parameters = parameters.0;
             let Zone { from_tick, slot, zone } = zone;
             answers.push(GainSwitch { parameters, from_tick, slot, zone });
         }
@@ -225,8 +224,9 @@ impl Schedule {
         if self.sweeping.is_recording() {
             return Ok(());
         }
-        let Some(reports) = self.sweeping.reports() else { return self.propose() };
-        match &self.subject {
+        let Some(driven) = self.sweeping.driven() else { return self.propose() };
+        let recorded = self.sweeping.recorded();
+        let outcome = match &self.subject {
             Subject::Validation(validation) => {
                 let mut switches = vec![Vec::new(); validation.len()];
                 for (drive, of_drive) in &self.switches {
@@ -234,18 +234,19 @@ impl Schedule {
                         switches[row] = of_drive.clone();
                     }
                 }
-                let mut outcome = validation.outcome(&reports, &switches);
-                outcome.drives_recorded = self.sweeping.recorded();
-                write_outcome(&self.folder, &outcome)?;
+                let mut result = validation.result(&driven, &switches);
+                result.drives_recorded = recorded;
+                Outcome::Validate(result)
             }
-            Subject::Grid(grid) => write_outcome(&self.folder, &grid.outcome(&reports))?,
+            Subject::Grid(grid) => Outcome::Grid(grid.finish(&self.folder, &driven)?),
             Subject::Drive(drive) => {
                 let switches = self.switches.remove(&0).unwrap_or_default();
-                let mut outcome = drive.outcome(&reports[0], switches);
-                outcome.drives_recorded = self.sweeping.recorded();
-                write_outcome(&self.folder, &outcome)?;
+                let mut result = drive.result(&driven[0], switches);
+                result.drives_recorded = recorded;
+                Outcome::Drive(result)
             }
-        }
+        };
+        write_outcome(&self.folder, &decided(&self.config, outcome))?;
         self.stage = Stage::Over;
         let header = self.sweeping.header(Proposal::FINISHED);
         self.proposals.send(header, 1, |_| Proposal::default())?;

@@ -9,28 +9,27 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, anyhow, ensure};
-use config::RunConfig;
+use config::{Parameters, RunConfig};
 use ipc_types::{
-    Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal,
-    WakeRole,
+    Attempt, BatchHeader, DriveOutcome, DriveRequest, LearnerProgress, Proposal, WakeRole,
 };
+use outcome::{Decided, NoiseChoice, OUTCOME_FILE, Outcome, TrainResult, to_json};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
-use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::digest::to_hex;
 use crate::journal::Journal;
+use crate::ranking::grid_is_driven;
+use crate::result::{decided, train_result};
+use crate::story::Story;
 use crate::sweeping::{Place, Progress, Sweeping};
-use crate::{
-    DriveRecord, Finalists, NoiseOutcome, Outcome, PlannedDrive, Ranking, Training,
-    rank_mean_distance,
-};
+use crate::training::{Taken, Training};
+use crate::wire::record_of;
+use crate::{Finalists, PlannedDrive, Ranking, objective_of, rank_mean};
 
 /// Name of the journal in the run's folder.
 pub const JOURNAL_FILE: &str = "journal";
-/// Name of the outcome in the run's folder, while the orchestrator has not made `result.json` of it.
-pub const OUTCOME_FILE: &str = "outcome.json";
 
 /// Between two syncs of the journal: what a power cut may cost.
 const SYNC_NS: u64 = 1_000_000_000;
@@ -60,8 +59,10 @@ struct Trainer {
     max_len: usize,
     folder: PathBuf,
     config: RunConfig,
-    training: Training,
+    /// Shared only once it has finished, with the thread that ranks.
+    training: Arc<Training>,
     journal: Journal,
+    story: Story,
     synced_ns: u64,
     /// Thousandths of the ranking that are done, and when that was told.
     ranked: Arc<AtomicU32>,
@@ -78,19 +79,33 @@ enum Stage {
     /// All learners have finished; under noise the best sets are driven again.
     Finalists(Sweeping, Finalists),
     /// A thread drives the grid.
-    Ranking(JoinHandle<Result<Outcome>>),
-    /// The tuned gains are shown.
-    Demonstrating(Sweeping, Box<Outcome>),
+    Ranking(JoinHandle<Result<Chosen>>),
+    /// The tuned set is shown.
+    Demonstrating(Sweeping, Box<TrainResult>),
     /// The outcome is written, and was announced.
     Over,
+}
+
+/// The set that a training has come to, and its result.
+struct Chosen {
+    parameters: Parameters,
+    result: TrainResult,
 }
 
 impl Trainer {
     fn new(bus: Rc<Bus>, config: RunConfig, attachment: &Attachment) -> Result<Self> {
         let folder = attachment.folder.clone();
-        let mut training = Training::new(&config);
-        let journal =
-            Journal::open(&folder.join(JOURNAL_FILE), &fingerprint(&config), &mut training)?;
+        let mut training = Training::new(&config, objective_of(&config));
+        let mut story = Story::new(&folder, &config.law, config.learning.heading_weight)?;
+        let mut told = Ok(());
+        let each = |taken: &Taken| {
+            if told.is_ok() {
+                told = story.add(taken);
+            }
+        };
+        let path = folder.join(JOURNAL_FILE);
+        let journal = Journal::open(&path, &fingerprint(&config), &mut training, each)?;
+        told?;
         Ok(Self {
             outcomes: bus.inlet()?,
             proposals: bus.outlet()?,
@@ -101,8 +116,9 @@ impl Trainer {
             max_len: attachment.max_len,
             folder,
             config,
-            training,
+            training: Arc::new(training),
             journal,
+            story,
             synced_ns: 0,
             ranked: Arc::default(),
             told_ns: 0,
@@ -116,14 +132,29 @@ impl Trainer {
         BatchHeader { attempt, flags, sent_ns: now_ns(), ..BatchHeader::default() }
     }
 
+    fn training_mut(&mut self) -> &mut Training {
+        Arc::get_mut(&mut self.training).expect("nobody ranks while drives are taken")
+    }
+
+    /// Notes a step for a successor, and for people.
+    fn note(&mut self, taken: &Taken) -> Result<()> {
+        self.journal.note(taken);
+        self.story.add(taken)
+    }
+
     /// Answers what memory can, writes the journal, and asks for the rest.
     fn propose(&mut self) -> Result<()> {
-        let Self { training, journal, .. } = self;
-        let answered = training.remember(REMEMBERED_AT_ONCE, |step| journal.note(step));
+        let mut taken = Vec::new();
+        let each = |step: &Taken| taken.push(step.clone());
+        let answered = self.training_mut().remember(REMEMBERED_AT_ONCE, each);
+        for taken in &taken {
+            self.note(taken)?;
+        }
         self.journal.write()?;
         let now_ns = now_ns();
         if now_ns - self.synced_ns >= SYNC_NS {
             self.journal.sync()?;
+            self.story.flush()?;
             self.synced_ns = now_ns;
         }
         self.tell_progress()?;
@@ -137,16 +168,15 @@ impl Trainer {
         self.stage = Stage::Training;
         let wanted = self.training.wanted();
         let ticks = self.config.ticks();
-        let grid = self.config.grid;
         let flags = if self.config.noise.enabled { DriveRequest::NOISE } else { 0 };
         self.proposals.send(self.header(0), wanted.len(), |index| {
-            let wanted = wanted[index];
+            let ask = wanted[index];
             Proposal {
-                parameters: grid.gains(wanted.position).to_parameters(),
-                seed: wanted.seed,
+                parameters: ask.parameters.0,
+                seed: ask.seed,
                 ticks,
-                learner: wanted.learner,
-                step: wanted.step,
+                learner: ask.learner,
+                step: ask.step,
                 flags,
                 plant: 0,
             }
@@ -155,16 +185,15 @@ impl Trainer {
     }
 
     fn tell_progress(&mut self) -> Result<()> {
-        let learners = self.training.learners();
-        let episodes = self.config.learning.episodes;
-        self.progress.send(self.header(0), learners.len(), |index| {
-            let learner = &learners[index];
+        let tuner = self.training.tuner();
+        self.progress.send(self.header(0), tuner.learners() as usize, |index| {
+            let state = tuner.state(index as u32);
             LearnerProgress {
-                epsilon: learner.epsilon(),
-                best_distance: learner.best_distance(),
-                asked: learner.drives_taken().into(),
-                episode: learner.episodes().len() as u32,
-                episodes,
+                epsilon: state.epsilon,
+                best_value: state.best_value,
+                asked: state.drives.into(),
+                episode: state.episodes,
+                episodes: state.of_episodes,
             }
         })?;
         Ok(())
@@ -173,11 +202,11 @@ impl Trainer {
     fn learn(&mut self, outcomes: &[DriveOutcome]) -> Result<()> {
         for DriveOutcome { report, attempt } in outcomes {
             self.counters.batch = attempt.batch;
-            let drive = to_record(report);
+            let drive = record_of(report);
             // Asking again would bring the same report again.
             ensure!(drive.is_plausible(), "impossible numbers in a drive report: {report:?}");
-            match self.training.take(report.learner, report.step, drive) {
-                Some(step) => self.journal.note(&step),
+            match self.training_mut().take(report.learner, report.step, drive) {
+                Some(taken) => self.note(&taken)?,
                 // It was answered before: a report that was sent again.
                 None => self.counters.dropped += 1,
             }
@@ -198,13 +227,14 @@ impl Trainer {
 
     /// What comes when all learners have finished: under noise the finalists, then the ranking.
     fn after_training(&mut self) -> Result<()> {
+        self.story.flush()?;
         if !self.config.noise.enabled {
             self.stage = Stage::Ranking(self.rank(None)?);
             return Ok(());
         }
         let finalists = Finalists::new(&self.config, &self.training);
         // To the orchestrator each drive of a sweep is a learner of its own.
-        let first = self.training.learners().len() as u32;
+        let first = self.training.tuner().learners();
         let sweeping = Sweeping::new(&self.bus, self.place(), first, finalists.drives())?;
         self.stage = Stage::Finalists(sweeping, finalists);
         self.ask()
@@ -228,23 +258,25 @@ impl Trainer {
     /// Goes on behind a sweep whose drives are all over. Whether it was.
     fn after_sweep(&mut self) -> Result<bool> {
         match std::mem::replace(&mut self.stage, Stage::Over) {
-            Stage::Finalists(sweeping, finalists) => match sweeping.reports() {
-                Some(reports) => {
-                    let noise = finalists.outcome(&self.config, &self.training, &reports);
-                    self.stage = Stage::Ranking(self.rank(Some(noise))?);
+            Stage::Finalists(sweeping, finalists) => match sweeping.driven() {
+                Some(driven) => {
+                    let records: Vec<_> = driven.iter().map(|it| it.record).collect();
+                    let choice =
+                        finalists.choose(&self.config, self.training.objective(), &records);
+                    self.stage = Stage::Ranking(self.rank(Some(choice))?);
                 }
                 None => {
                     self.stage = Stage::Finalists(sweeping, finalists);
                     return Ok(false);
                 }
             },
-            Stage::Demonstrating(sweeping, mut outcome) => {
-                if sweeping.reports().is_none() {
-                    self.stage = Stage::Demonstrating(sweeping, outcome);
+            Stage::Demonstrating(sweeping, mut result) => {
+                if sweeping.driven().is_none() {
+                    self.stage = Stage::Demonstrating(sweeping, result);
                     return Ok(false);
                 }
-                outcome.drives_recorded = sweeping.recorded();
-                write_outcome(&self.folder, &outcome)?;
+                result.drives_recorded = sweeping.recorded();
+                write_outcome(&self.folder, &decided(&self.config, Outcome::Train(result)))?;
                 self.proposals.send(self.header(Proposal::FINISHED), 1, |_| Proposal::default())?;
             }
             other => {
@@ -257,22 +289,31 @@ impl Trainer {
 
     /// Ranks what was chosen among all sets, in a thread: it may take a while, and the process shows meanwhile
     /// that it lives.
-    fn rank(&self, noise: Option<NoiseOutcome>) -> Result<JoinHandle<Result<Outcome>>> {
+    fn rank(
+        &self,
+        choice: Option<(Parameters, NoiseChoice)>,
+    ) -> Result<JoinHandle<Result<Chosen>>> {
         let (config, training) = (self.config.clone(), self.training.clone());
         let journal = self.journal.file()?;
         let share = self.ranked.clone();
         Ok(std::thread::spawn(move || {
             journal.sync_data().context("failed to sync the journal")?;
-            let noise = noise.map(|noise| {
-                let progress = |done: f64| share.store((1000.0 * done) as u32, Ordering::Relaxed);
-                let rank = rank_mean_distance(&config, noise.finalists[0].gains, progress);
-                (noise, rank)
+            let progress = |done: f64| share.store((1000.0 * done) as u32, Ordering::Relaxed);
+            let noise = choice.map(|(parameters, choice)| {
+                let rank = grid_is_driven(&config)
+                    .then(|| rank_mean(&config, training.objective(), &parameters, progress));
+                (choice, parameters, rank)
             });
-            Ok(Outcome::new(&config, &training, &mut Ranking::by_rollout(&config), noise))
+            let result = train_result(&config, &training, &Ranking::by_rollout(&config), noise);
+            let parameters = config
+                .law
+                .parameters_of(&result.gains)
+                .map_err(|(key, problem)| anyhow!("the tuned set: {key} {problem}"))?;
+            Ok(Chosen { parameters, result })
         }))
     }
 
-    /// Waits for the ranking; then shows what the tuned gains do, in recorded drives.
+    /// Waits for the ranking; then shows what the tuned set does, in recorded drives.
     fn after_ranking(&mut self) -> Result<bool> {
         let Stage::Ranking(thread) = std::mem::replace(&mut self.stage, Stage::Over) else {
             return Ok(false);
@@ -282,10 +323,11 @@ impl Trainer {
             self.tell_ranking()?;
             return Ok(false);
         }
-        let outcome = thread.join().map_err(|_| anyhow!("the ranking panicked"))??;
+        let Chosen { parameters, result } =
+            thread.join().map_err(|_| anyhow!("the ranking panicked"))??;
         let drives = [("tuned_noise_free", None), ("tuned_noisy", Some(1))]
             .map(|(name, seed)| PlannedDrive {
-                by_zone: vec![outcome.gains],
+                by_zone: vec![parameters],
                 seed,
                 record: Some(name.to_owned()),
             })
@@ -293,7 +335,7 @@ impl Trainer {
         // Beyond the learners and all finalists.
         let first = u32::MAX / 2;
         let sweeping = Sweeping::new(&self.bus, self.place(), first, drives)?;
-        self.stage = Stage::Demonstrating(sweeping, Box::new(outcome));
+        self.stage = Stage::Demonstrating(sweeping, Box::new(result));
         self.ask()?;
         Ok(true)
     }
@@ -306,34 +348,21 @@ impl Trainer {
         }
         self.told_ns = now_ns;
         let ranked = self.ranked.load(Ordering::Relaxed);
-        let (epsilon, best_distance) = (0.0, f64::INFINITY);
+        let (epsilon, best_value) = (0.0, f64::INFINITY);
         let progress =
-            LearnerProgress { epsilon, best_distance, asked: 0, episode: ranked, episodes: 1000 };
+            LearnerProgress { epsilon, best_value, asked: 0, episode: ranked, episodes: 1000 };
         self.progress.send(self.header(LearnerProgress::RANKING), 1, |_| progress)?;
         Ok(())
     }
 }
 
-/// Writes the outcome, by rename: whoever sees the file sees all of it.
-pub(crate) fn write_outcome(folder: &Path, outcome: &impl Serialize) -> Result<()> {
+/// Writes the decided part of the result, by rename: whoever sees the file sees all of it.
+pub(crate) fn write_outcome(folder: &Path, decided: &Decided) -> Result<()> {
     let path = folder.join(OUTCOME_FILE);
     let whole = path.with_extension("part");
-    fs::write(&whole, serde_json::to_vec(outcome)?)
+    fs::write(&whole, to_json(decided))
         .and_then(|()| fs::rename(&whole, &path))
         .with_context(|| format!("failed to write {path:?}"))
-}
-
-fn to_record(report: &DriveReport) -> DriveRecord {
-    DriveRecord {
-        mean_abs_along_m: report.mean_abs_along_m,
-        mean_abs_cross_m: report.mean_abs_cross_m,
-        mean_abs_heading_rad: report.mean_abs_heading_rad,
-        along_mse_m2: report.along_mse_m2,
-        cross_mse_m2: report.cross_mse_m2,
-        ticks: report.ticks,
-        collision: report.reason == DriveReport::COLLISION,
-        trace: report.trace,
-    }
 }
 
 /// Hash of everything that decides a training; fleet size, memory and gains that were promoted before do not.

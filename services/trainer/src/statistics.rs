@@ -1,11 +1,11 @@
 //! Means and their intervals.
 
-use serde::{Deserialize, Serialize};
+use outcome::Verdict;
 
 use crate::rng::Stream;
 
 /// A mean with its 95 % bootstrap interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
     /// The mean.
     pub mean: f64,
@@ -55,18 +55,6 @@ impl Estimate {
             Verdict::Undecided
         }
     }
-}
-
-/// What a paired difference says.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    /// The interval of the difference lies below 0.
-    Better,
-    /// It lies above 0.
-    Worse,
-    /// It holds 0.
-    Undecided,
 }
 
 /// The mean of some values.

@@ -1,13 +1,15 @@
 //! A list of drives, each made once: what is driven outside learning.
 
-use config::Gains;
+use config::Parameters;
 use ipc_types::{DriveReport, DriveRequest, Proposal};
+
+use crate::wire::Driven;
 
 /// One drive of a sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlannedDrive {
-    /// The gains of each zone; a single set holds in all of them.
-    pub by_zone: Vec<Gains>,
+    /// The parameters of each zone; a single set holds in all of them.
+    pub by_zone: Vec<Parameters>,
     /// Seed of the noise; none for a drive without.
     pub seed: Option<u64>,
     /// The file, without its ending, that its recording goes to; none for a drive that is not recorded.
@@ -47,7 +49,7 @@ impl Sweep {
     fn proposal(&self, learner: u32, drive: &PlannedDrive) -> Proposal {
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
         Proposal {
-            parameters: drive.by_zone[0].to_parameters(),
+            parameters: drive.by_zone[0].0,
             seed: drive.seed.unwrap_or_default(),
             ticks: self.ticks,
             learner,
@@ -96,9 +98,9 @@ impl Sweep {
         self.reports.iter().filter(|report| report.is_some()).count()
     }
 
-    /// The reports, in the order of the drives, once all are over.
-    pub fn reports(&self) -> Option<Vec<DriveReport>> {
-        self.reports.iter().copied().collect()
+    /// The drives that were made, in their order, once all are over.
+    pub fn driven(&self) -> Option<Vec<Driven>> {
+        self.reports.iter().map(|report| report.map(Driven::from)).collect()
     }
 }
 
@@ -108,10 +110,10 @@ mod tests {
 
     #[test]
     fn every_drive_is_asked_for_until_it_is_reported() {
-        let gains = Gains { kv: 1.0, kl: 2.0, ks: 3.0, ki: 0.5 };
-        let plain = PlannedDrive { by_zone: vec![gains], seed: None, record: None };
+        let set = Parameters::of(&[1.0, 2.0, 3.0, 0.5]);
+        let plain = PlannedDrive { by_zone: vec![set], seed: None, record: None };
         let rich = PlannedDrive {
-            by_zone: vec![gains; 3],
+            by_zone: vec![set; 3],
             seed: Some(4),
             record: Some("rich".to_owned()),
         };
@@ -127,9 +129,9 @@ mod tests {
         assert!(!sweep.take(&report(4, 2)) && !sweep.take(&report(7, 2)));
         assert!(!sweep.take(&report(5, 1)), "what a predecessor asked for");
         assert!(sweep.take(&report(6, 2)) && !sweep.take(&report(6, 2)));
-        assert!(sweep.reports().is_none());
+        assert!(sweep.driven().is_none());
         assert!(sweep.take(&report(5, 2)));
-        assert_eq!(sweep.reports().unwrap()[1].learner, 6);
+        assert_eq!(sweep.driven().unwrap()[1].report.learner, 6);
         assert!(sweep.wanted(9).is_empty());
     }
 }

@@ -10,6 +10,7 @@ use runtime::clock::now_ns;
 
 use crate::recording::{Recorder, write};
 use crate::sweep::{PlannedDrive, Sweep};
+use crate::wire::{Driven, record_of};
 
 /// Where a sweep belongs.
 pub(crate) struct Place {
@@ -88,13 +89,8 @@ impl Sweeping {
     pub(crate) fn learn(&mut self, outcomes: &[DriveOutcome]) -> Result<u64> {
         let mut dropped = 0;
         for DriveOutcome { report, .. } in outcomes {
-            let plausible =
-                [report.mean_abs_cross_m, report.mean_abs_heading_rad, report.along_mse_m2]
-                    .into_iter()
-                    .chain([report.cross_mse_m2, report.max_abs_cross_m])
-                    .all(|number| number.is_finite() && number >= 0.0);
             // Asking again would bring the same report again.
-            ensure!(plausible, "impossible numbers in a drive report: {report:?}");
+            ensure!(record_of(report).is_plausible(), "impossible numbers in a drive report: {report:?}");
             let Some(index) = self.sweep.index_of_own(report.learner, report.step) else {
                 dropped += 1;
                 continue;
@@ -146,16 +142,16 @@ impl Sweeping {
         !self.unrecorded.is_empty()
     }
 
-    /// The reports, once all drives are over.
-    pub(crate) fn reports(&self) -> Option<Vec<DriveReport>> {
-        if self.is_recording() { None } else { self.sweep.reports() }
+    /// The drives that were made, once all are over.
+    pub(crate) fn driven(&self) -> Option<Vec<Driven>> {
+        if self.is_recording() { None } else { self.sweep.driven() }
     }
 
     /// Where the sweep stands; goes with [`LearnerProgress::DRIVES`].
     pub(crate) fn progress(&self) -> LearnerProgress {
         LearnerProgress {
             epsilon: 0.0,
-            best_distance: f64::INFINITY,
+            best_value: f64::INFINITY,
             asked: self.sweep.done() as u64,
             episode: self.sweep.done() as u32,
             episodes: self.sweep.len() as u32,

@@ -77,8 +77,8 @@ pub struct LearnerState {
 }
 
 /// What proposes parameters and learns from drives, as a state machine: the same configuration, seed and drives give the
-/// same proposals, in whatever order the learners are served. Reads no clock and draws no random number but from
-/// [`crate::Stream`]s of the run's seed.
+/// same proposals, in whatever order the learners are served. Reads no clock, and draws every random number from a
+/// [`Stream`](crate::rng::Stream) of the run's seed.
 pub trait Tuner: Debug + Send + Sync {
     /// Learners, numbered from 0: as many drives may be under way at once.
     fn learners(&self) -> u32;
