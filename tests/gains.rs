@@ -7,7 +7,7 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::process::Output;
 use std::time::Duration;
 
-use config::{Gains, Layers, Vehicle};
+use config::{Layers, NamedParameters, Vehicle};
 use serde_json::Value;
 use support::Sandbox;
 
@@ -43,8 +43,8 @@ fn car(sandbox: &Sandbox) -> Vehicle {
     Layers::vehicle_of_file(sandbox.path("car.toml").to_str().unwrap()).unwrap()
 }
 
-fn gains_of(value: &Value) -> Gains {
-    Gains::from_array(Gains::NAMES.map(|name| value[name].as_f64().unwrap()))
+fn gains_of(value: &Value) -> NamedParameters {
+    serde_json::from_value(value.clone()).unwrap()
 }
 
 /// A sandbox with a car and a short training; its result.
@@ -74,7 +74,7 @@ fn gains_are_promoted_listed_shown_and_driven() {
     assert!(text.starts_with(CAR), "{text}");
     let set = &car(&sandbox).gains["lane_change"];
     let origin = set.provenance.clone().unwrap();
-    assert_eq!(set.gains(), gains_of(&result["gains"]));
+    assert_eq!(set.parameters, gains_of(&result["gains"]));
     assert_eq!(result["digest"], *origin.digest);
     assert_eq!((&*origin.run, &*origin.maneuver), ("first", "lane_change"));
     assert_eq!((&*origin.vehicle, origin.noise), ("tesla_model_3", false));
@@ -92,7 +92,7 @@ fn gains_are_promoted_listed_shown_and_driven() {
     let shown: Value =
         serde_json::from_str(&gains(&sandbox, &["show", "car.toml", "lane_change", "--json"]))
             .unwrap();
-    assert_eq!(gains_of(&shown["gains"]), set.gains());
+    assert_eq!(gains_of(&shown["gains"]), set.parameters);
 
     let args = ["drive", "lane_change", "--vehicle", "car.toml", "--out", "driven"];
     let driven = sandbox.run(&args);
@@ -140,7 +140,7 @@ fn a_large_change_is_refused_then_forced_and_rolled_back() {
     refused(&sandbox, &["rollback", "car.toml", "roundabout"], &["roundabout", "lane_change"]);
     gains(&sandbox, &["rollback", "car.toml", "lane_change", "--to", "1"]);
     let set = car(&sandbox).gains["lane_change"].clone();
-    assert_eq!((set.gains(), set.provenance), (first.gains(), first.provenance));
+    assert_eq!((set.parameters, set.provenance), (first.parameters, first.provenance));
 }
 
 #[test]

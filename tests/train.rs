@@ -34,10 +34,10 @@ fn both_maneuvers_train_to_what_plain_calls_make_of_them() {
         let oracle = trainer::train_by_rollout(&config(maneuver, &[]));
         assert_eq!(digest(&result), trainer::digest(&oracle));
         assert!(result["grid"]["rank_distance"].as_u64().unwrap() <= 6, "{}", result["grid"]);
-        assert_eq!(result["schema"], 1);
+        assert_eq!(result["schema"], 2);
         assert_eq!(result["maneuver"], maneuver);
         assert_eq!(result["learners"].as_array().unwrap().len(), 5);
-        assert_eq!(result["drives"]["reissued"], 0);
+        assert_eq!(result["run"]["drives"]["reissued"], 0);
         let names: BTreeSet<&str> = result["processes"]
             .as_array()
             .unwrap()
@@ -105,10 +105,10 @@ fn noise_is_seeded_by_learner_and_step() {
     let noise = &result["noise"];
     let chosen = &noise["finalists"][0];
     assert_eq!(chosen["gains"], result["gains"]);
-    assert!(chosen["low"].as_f64() <= chosen["mean_distance"].as_f64());
+    assert!(chosen["low"].as_f64() <= chosen["mean_value"].as_f64());
     assert!(noise["finalists"].as_array().unwrap().len() >= 20);
-    assert!(result["grid"]["rank_mean_distance"].as_u64().unwrap() >= 1);
-    for against in ["against_paper", "against_voted"] {
+    assert!(result["grid"]["rank_mean"].as_u64().unwrap() >= 1);
+    for against in ["against_paper", "against_recommended"] {
         let (low, high) = (&noise[against]["low"], &noise[against]["high"]);
         let verdict = match (low.as_f64().unwrap(), high.as_f64().unwrap()) {
             (_, high) if high < 0.0 => "better",

@@ -310,7 +310,7 @@ pub(crate) fn validate(law: &LawConfig) -> Result<(), Problem> {
 }
 
 /// The embedded law with this name.
-pub(crate) fn preset(name: &str) -> Option<LawConfig> {
+pub fn preset(name: &str) -> Option<LawConfig> {
     let preset = crate::presets::preset(&format!("laws/{name}.toml"))?;
     Some(toml::from_str(preset.text).expect("the presets are checked by a test"))
 }

@@ -191,6 +191,22 @@ impl Layers {
         self.select(Part::Law, origin, name)
     }
 
+    /// Takes the tuner from a preset, on behalf of a command line option named `origin`.
+    ///
+    /// # Errors
+    /// If there is none with this name.
+    pub fn set_tuner(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
+        self.select(Part::Tuner, origin, name)
+    }
+
+    /// Takes the objective from a preset, on behalf of a command line option named `origin`.
+    ///
+    /// # Errors
+    /// If there is none with this name.
+    pub fn set_objective(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
+        self.select(Part::Objective, origin, name)
+    }
+
     fn select(&mut self, part: Part, origin: &str, name: &str) -> Result<(), ConfigError> {
         self.load(part, name, origin)?;
         self.put(origin, part.selected_by(), name)

@@ -14,7 +14,6 @@ pub mod launch;
 mod law;
 mod layers;
 mod own_path;
-mod parameters;
 mod path_file;
 mod points;
 mod presets;
@@ -30,7 +29,7 @@ pub use error::ConfigError;
 pub use grid::{Axes, Axis, Grid, GridAxis, GridPosition};
 pub use law::{
     LawConfig, MAX_PARAMETERS, NamedParameters, ParameterConfig, Parameters, Scale, Settings,
-    paper_law,
+    paper_law, preset as law_preset,
 };
 pub use layers::Layers;
 pub use presets::{Preset, maneuver_names, names_in, nearest, presets};

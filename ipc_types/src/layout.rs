@@ -1,6 +1,14 @@
 //! A hash over names, types and offsets of a message's fields, checked while compiling.
 
+/// What may lie in shared memory.
+#[cfg(feature = "transport")]
 pub use iceoryx2::prelude::ZeroCopySend;
+
+/// Stands for the transport's trait where there is no transport: pure cores use messages as plain data.
+#[cfg(not(feature = "transport"))]
+pub trait ZeroCopySend {}
+#[cfg(not(feature = "transport"))]
+impl<M: Copy + 'static> ZeroCopySend for M {}
 
 /// One field of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -201,6 +209,30 @@ pub const fn hex(number: u32) -> [u8; 8] {
     digits
 }
 
+/// Defines the struct of a message, for the transport or without it. A macro of its own, because a condition inside
+/// [`message!`] would ask for the features of the crate that uses it.
+#[cfg(feature = "transport")]
+#[doc(hidden)]
+#[macro_export]
+macro_rules! message_struct {
+    ($type_name:literal; $($item:tt)+) => {
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+        #[type_name($type_name)]
+        $($item)+
+    };
+}
+#[cfg(not(feature = "transport"))]
+#[doc(hidden)]
+#[macro_export]
+macro_rules! message_struct {
+    ($type_name:literal; $($item:tt)+) => {
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        $($item)+
+    };
+}
+
 /// Defines a message: a plain C struct with explicit padding, a name that carries the hash of its layout,
 /// and the table of its fields. The build fails where name and layout differ, and tells the hash. The
 /// derive wants [`ZeroCopySend`] in scope.
@@ -213,12 +245,12 @@ macro_rules! message {
             $($(#[doc = $field_doc:literal])+ pub $field:ident: $kind:ty),+ $(,)?
         }
     ) => {
-        $(#[doc = $doc])+
-        #[repr(C)]
-        #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-        #[type_name($type_name)]
-        pub struct $name {
-            $($(#[doc = $field_doc])+ pub $field: $kind),+
+        $crate::message_struct! {
+            $type_name;
+            $(#[doc = $doc])+
+            pub struct $name {
+                $($(#[doc = $field_doc])+ pub $field: $kind),+
+            }
         }
 
         impl $name {
@@ -300,7 +332,7 @@ macro_rules! constants {
 }
 pub(crate) use constants;
 
-#[cfg(test)]
+#[cfg(all(test, feature = "transport"))]
 #[allow(unreachable_pub, reason = "the macro makes messages that others see")]
 mod tests {
     use super::*;

@@ -2,7 +2,10 @@
 
 use std::cmp::Ordering;
 
-use crate::layout::{ZeroCopySend, constants, message};
+// The derive of the transport wants it in scope.
+#[cfg(feature = "transport")]
+use crate::layout::ZeroCopySend;
+use crate::layout::{constants, message};
 use crate::{MAX_PARAMETERS, MAX_STATE};
 
 /// Values of [`Odometry::status`] and of the command's flags are bits; this tests one.

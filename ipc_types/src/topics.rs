@@ -1,8 +1,6 @@
 //! All topics in one table: name, who sends, who is woken, how much is kept.
 
-use iceoryx2::prelude::ZeroCopySend;
-
-use crate::layout::Layout;
+use crate::layout::{Layout, ZeroCopySend};
 use crate::{
     BatchHeader, Command, Credit, DriveOutcome, DriveReport, DriveRequest, GainSwitch,
     KeptLawState, LawState, LearnerProgress, Odometry, Proposal, RawCommand, Rearm, Safety, Status,

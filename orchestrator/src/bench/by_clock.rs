@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::rings::Killed;
-use crate::commands::housekeeping::RunState;
+use crate::runs::state::RunState;
 use crate::words::Failure;
 use crate::words::tables::table_of;
 use crate::words::terminal::{say, tell};

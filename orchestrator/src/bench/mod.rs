@@ -5,7 +5,7 @@ mod by_clock;
 mod pipelines;
 mod rings;
 
-use config::{Gains, Layers};
+use config::Layers;
 use serde_json::{Value, json};
 
 use self::pipelines::{pipeline, pipelines, waiting};
@@ -19,25 +19,25 @@ use crate::words::terminal::{say, tell};
 /// that what lies between them hardly counts.
 pub const MANEUVER: &str = "roundabout";
 
-/// Settings of a grid of so many gain sets, a power of two from 16 on, spread over all of the manoeuvre's: what a tick
+/// Settings of a grid of so many sets, a power of two with at least one doubling for each parameter, spread over all of the manoeuvre's: what a tick
 /// costs hangs on the gains, too.
 ///
 /// # Errors
 /// None: the presets are sound.
 pub fn spread(sets: usize) -> anyhow::Result<Vec<String>> {
-    let grid = Layers::maneuver(MANEUVER)?.resolve()?.grid;
+    let config = Layers::maneuver(MANEUVER)?.resolve()?;
     // Each doubling goes to another axis.
-    let mut counts = [1; 4];
+    let mut counts = vec![1; config.law.count()];
     for doubling in 0..sets.ilog2() as usize {
-        counts[doubling % 4] *= 2;
+        let axes = counts.len();
+        counts[doubling % axes] *= 2;
     }
-    let axes = Gains::NAMES.iter().zip(grid.axes()).zip(counts);
-    Ok(axes
-        .map(|((name, axis), count)| {
-            let step = (axis.max - axis.min) / (count - 1) as f64;
-            format!("grid.{name}.step={step:?}")
-        })
-        .collect())
+    let steps = config.law.keys().zip(counts).map(|(key, count)| {
+        let axis = config.grid[key];
+        let step = (axis.max - axis.min) / (count - 1) as f64;
+        format!("grid.{key}.step={step:?}")
+    });
+    Ok(steps.collect())
 }
 
 /// Nanoseconds a tick.
@@ -129,7 +129,7 @@ fn subjects() -> Vec<Subject> {
 ///
 /// # Errors
 /// If a pipeline cannot be kept alive.
-pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
+pub(crate) fn bench(args: &BenchArgs) -> Result<(), Failure> {
     if let Some(time) = args.realtime {
         return by_clock::bench(time, args.json);
     }

@@ -10,12 +10,12 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use runtime::periods::FILE_VARIABLE;
 use rustix::process::{Pid, Signal, kill_process};
-use serde_json::Value;
+use outcome::RunResult;
 use tempfile::TempDir;
 
 use super::rings::Killed;
 use super::{MANEUVER, Timing, spread};
-use crate::commands::housekeeping::RunState;
+use crate::runs::state::RunState;
 
 /// A pipeline that makes nothing but ticks: the sets of a grid, one drive each.
 struct Sweep {
@@ -81,8 +81,8 @@ impl Sweep {
         output.read_to_string(&mut text)?;
         let folder = self.folder.path().display();
         ensure!(self.orchestrator.wait()?.success(), "a pipeline failed in {folder}");
-        let result: Value = serde_json::from_str(&text)?;
-        result["tick_ns"].as_f64().context("a result without tick_ns")
+        let result: RunResult = serde_json::from_str(&text)?;
+        Ok(result.run.tick_ns)
     }
 }
 

@@ -1,5 +1,7 @@
 //! The command line.
 
+mod time;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -86,7 +88,7 @@ pub enum Command {
     Config(ConfigCommand),
     /// Check that a program can fill the vehicle's role
     Conformance(Box<ConformanceArgs>),
-    /// Print the messages and topics for a process in another language
+    /// Print the messages and topics for a process in another language, or the schema of result.json
     Schema(SchemaArgs),
     /// The gains in a vehicle's file: bring those of a training there, and back
     #[command(subcommand)]
@@ -94,9 +96,11 @@ pub enum Command {
     /// A process of a pipeline; started by the orchestrator, not by hand
     #[command(hide = true)]
     Service {
-        /// Which one.
-        #[command(subcommand)]
-        service: ServiceCommand,
+        /// Its name
+        name: String,
+        /// Words for it
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        words: Vec<String>,
     },
 }
 
@@ -106,6 +110,7 @@ pub enum Command {
   pathtune train lane_change
   pathtune train roundabout --seed 7 --alphas 0.1,0.5 --out runs/mine
   pathtune train lane_change --set learning.gamma=0.8 --json
+  pathtune train lane_change --tuner q --objective path
   pathtune train --path slalom.csv --noise
   pathtune train lane_change --replace vehicle='python3 my_vehicle.py'")]
 pub struct TrainArgs {
@@ -116,7 +121,8 @@ pub struct TrainArgs {
         long,
         value_name = "DIR",
         conflicts_with_all = [
-            "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "tuner", "out",
+            "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "law", "objective",
+            "tuner", "out",
             "config", "set", "launch", "replace", "path", "vehicle", "record", "record_split",
         ]
     )]
@@ -136,9 +142,9 @@ pub struct TrainArgs {
     /// Drive again what was driven before; changes no result
     #[arg(long)]
     pub no_memo: bool,
-    /// Who tunes [default: educated-q]
-    #[arg(long, value_enum)]
-    pub tuner: Option<TunerArg>,
+    /// Who tunes: a preset, as `pathtune config list` names them [default: educated-q]
+    #[arg(long, value_name = "NAME")]
+    pub tuner: Option<String>,
     /// What every run can be told.
     #[command(flatten)]
     pub setup: SetupArgs,
@@ -155,8 +161,8 @@ pub struct TrainArgs {
 pub struct ValidateArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// Gains instead of the paper's; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84; repeatable
-    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    /// Gains instead of the paper's: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84; repeatable
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Vec<String>,
     /// Noisy drives of each set, with the noise seeds 1, 2, …
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=10_000))]
@@ -177,8 +183,8 @@ pub struct ValidateArgs {
 pub struct DriveArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// The gains; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84 [default: those promoted to the vehicle, or the paper's]
-    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    /// The gains: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84 [default: those promoted to the vehicle, or the paper's, or another law's defaults]
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Option<String>,
     /// The gains that a training has found; for a path with several manoeuvres a training of each; repeatable
     #[arg(long, value_name = "RUN", conflicts_with = "gains")]
@@ -205,8 +211,8 @@ pub struct DriveArgs {
 pub struct GridArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// Gains to be ranked among those of the grid; repeatable
-    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    /// Gains to be ranked among those of the grid: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; repeatable
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Vec<String>,
     /// What every run can be told.
     #[command(flatten)]
@@ -222,6 +228,12 @@ pub struct SetupArgs {
     /// A vehicle: a preset, or a file on top of the default one
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,
+    /// The control law: a preset, or a file on top of one; `pathtune config list` names them [default: paper]
+    #[arg(long, value_name = "NAME|FILE")]
+    pub law: Option<String>,
+    /// What drives are judged by, the smaller the better: a preset, as `pathtune config list` names them [default: distance]
+    #[arg(long, value_name = "NAME")]
+    pub objective: Option<String>,
     /// Vehicles that drive in the same tick; changes no result [default: one a learner, or as many as there is to drive]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=256))]
     pub fleet: Option<u32>,
@@ -288,8 +300,8 @@ pub struct RecordArgs {
     /// The file [default: recording.mcap in the run's folder, or the next free number]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// How long, as in 10s or 500ms [default: until the run ends]
-    #[arg(long = "for", value_name = "TIME", value_parser = parse_time)]
+    /// How long, as in 10s, 1m30s or 500ms [default: until the run ends]
+    #[arg(long = "for", value_name = "TIME", value_parser = time::above_zero, allow_hyphen_values = true)]
     pub time: Option<Duration>,
     /// Go on in another file at this size, as in 500M
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
@@ -301,12 +313,12 @@ pub struct RecordArgs {
 #[command(after_help = "Examples:
   pathtune replay runs/mine/recording.mcap
   pathtune replay recording.mcap --gains 3,21,21,0.7/3.4,21,1,0.9
-  pathtune replay recording.mcap --from 25 --to 30 --realtime")]
+  pathtune replay recording.mcap --from 25s --to 30s --realtime")]
 pub struct ReplayArgs {
     /// The recording: of a run with --record
     pub file: PathBuf,
-    /// Gains instead of the recorded ones; for a path with several manoeuvres a set for each
-    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    /// Gains instead of the recorded ones: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; for a path with several manoeuvres a set for each
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Option<String>,
     /// TOML file on top of the recorded configuration
     #[arg(long, value_name = "FILE")]
@@ -314,12 +326,12 @@ pub struct ReplayArgs {
     /// One key on top of everything, as in --set supervisor.speed_limit_mps=3; repeatable
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Compare from this second of each drive on; it is driven from its start all the same
-    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = parse_seconds)]
-    pub from: f64,
-    /// Compare up to this second of each drive
-    #[arg(long, value_name = "S", value_parser = parse_seconds)]
-    pub to: Option<f64>,
+    /// Compare each drive from this time on, as in 25s or 1m30s; it is driven from its start all the same
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time::from_zero, allow_hyphen_values = true)]
+    pub from: Duration,
+    /// Compare each drive up to this time
+    #[arg(long, value_name = "TIME", value_parser = time::from_zero, allow_hyphen_values = true)]
+    pub to: Option<Duration>,
     /// As fast as it was driven, not as fast as it goes
     #[arg(long)]
     pub realtime: bool,
@@ -328,31 +340,10 @@ pub struct ReplayArgs {
     pub speed: Option<f64>,
 }
 
-fn parse_seconds(text: &str) -> Result<f64, String> {
-    let number = text.parse::<f64>().ok().filter(|it| it.is_finite() && *it >= 0.0);
-    number.ok_or_else(|| "is no number of seconds".to_owned())
-}
-
 /// Slower than a tenth, and a tick would take longer than a frozen process is waited for.
 fn parse_speed(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|it| (0.1..=1e6).contains(it));
     number.ok_or_else(|| "is no number from 0.1 to 1e6".to_owned())
-}
-
-/// `500ms`, `10s`, `5m`.
-fn parse_time(text: &str) -> Result<Duration, String> {
-    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let unit_s = match &text[split..] {
-        "ms" => 1e-3,
-        "s" => 1.0,
-        "m" => 60.0,
-        "h" => 3600.0,
-        _ => return Err("is no time; write 500ms, 10s or 5m".to_owned()),
-    };
-    let time_s = text[..split].parse::<f64>().ok().map(|number| number * unit_s);
-    time_s
-        .and_then(|time_s| Duration::try_from_secs_f64(time_s).ok())
-        .ok_or_else(|| "is no time; write 500ms, 10s or 5m".to_owned())
 }
 
 /// `64k`, `500M`, `2G`: powers of 1024.
@@ -385,8 +376,8 @@ pub struct BenchArgs {
     /// Only the rows whose names begin like this; repeatable
     #[arg(long, value_name = "NAME")]
     pub only: Vec<String>,
-    /// Instead: drive at 100 Hz for so long, quiet and beside a load on all cores, and say how late commands are
-    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with_all = ["only", "rounds"])]
+    /// Instead: drive at 100 Hz for so long (as in 10s or 1m30s), quiet and beside a load on all cores, and say how late commands are
+    #[arg(long, value_name = "TIME", value_parser = time::above_zero, conflicts_with_all = ["only", "rounds"])]
     pub realtime: Option<Duration>,
     /// Print the rows as JSON
     #[arg(long)]
@@ -413,25 +404,18 @@ pub struct MonitorArgs {
     /// One row a second into a file, with the same figures
     #[arg(long, value_name = "FILE")]
     pub csv: Option<PathBuf>,
-    /// How long to look, as in 500ms, 10s, 2m or 1h [default: until the run ends]
-    #[arg(long = "for", value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
+    /// How long to look, as in 10s, 1m30s or 500ms [default: until the run ends]
+    #[arg(long = "for", value_name = "TIME", value_parser = time::above_zero, allow_hyphen_values = true)]
     pub duration: Option<Duration>,
     /// One report over a second in which ticks are driven, or over the time of --for, and no more
     #[arg(long)]
     pub once: bool,
-    /// How long odometry to applied command may take; longer is a deadline miss [default: the run's tick]
-    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
+    /// How long odometry to applied command may take, as in 1ms; longer is a deadline miss [default: the run's tick]
+    #[arg(long, value_name = "TIME", value_parser = time::above_zero, allow_hyphen_values = true)]
     pub budget: Option<Duration>,
     /// Hand out the figures to Prometheus on this address, as in 127.0.0.1:9464; not in every build
     #[arg(long, value_name = "ADDR")]
     pub prometheus: Option<SocketAddr>,
-}
-
-/// A time above zero, as users write it.
-fn duration(text: &str) -> Result<Duration, String> {
-    let wanted = "a time above zero is meant, as in 500ms, 10s, 2m or 1h".to_owned();
-    let time = text.parse::<jiff::SignedDuration>().map_err(|_| wanted.clone())?;
-    Duration::try_from(time).ok().filter(|time| !time.is_zero()).ok_or(wanted)
 }
 
 /// How processes wait for each other.
@@ -445,15 +429,6 @@ pub enum WaitArg {
     Spin,
     /// Asleep at once, woken for each message
     Block,
-}
-
-/// Who tunes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum TunerArg {
-    /// The paper's: locks gains that the terminal sets agree on
-    EducatedQ,
-    /// Plain Q-learning
-    Q,
 }
 
 /// Options of `conformance`.
@@ -493,12 +468,13 @@ pub struct ConformanceArgs {
     pub command: Vec<String>,
 }
 
-/// In which language.
+/// Of what, and in which language.
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 #[command(after_help = "Examples:
   pathtune schema --python > pathtune_messages.py
-  pathtune schema --c > pathtune_messages.h")]
+  pathtune schema --c > pathtune_messages.h
+  pathtune schema --result > result.schema.json")]
 pub struct SchemaArgs {
     /// A Python module of ctypes structures
     #[arg(long)]
@@ -506,14 +482,19 @@ pub struct SchemaArgs {
     /// A C header
     #[arg(long)]
     pub c: bool,
+    /// The JSON Schema of result.json
+    #[arg(long)]
+    pub result: bool,
 }
 
 /// What to do with the presets.
 #[derive(Debug, Subcommand)]
 pub enum ConfigCommand {
+    /// List the manoeuvres, vehicles, laws, tuners and objectives
+    List,
     /// Print the presets, each key with its description
     Show {
-        /// Only the presets whose path holds this word
+        /// Only the presets whose path holds this word, as in laws or lane_change
         name: Option<String>,
     },
     /// Write the presets into a folder, to be edited
@@ -555,7 +536,7 @@ pub enum GainsCommand {
         run: PathBuf,
         /// The vehicle's file
         vehicle: PathBuf,
-        /// Also if a gain changes by more than 30 %, or the training was of a vehicle with another geometry
+        /// Also if a gain changes by more than 30 %, they replace gains of another law, or the training was of a vehicle with another geometry
         #[arg(long)]
         force: bool,
         /// Only say what would change
@@ -572,58 +553,4 @@ pub enum GainsCommand {
         #[arg(long, value_name = "N")]
         to: Option<usize>,
     },
-}
-
-/// Which process of a pipeline to be.
-#[derive(Debug, Subcommand)]
-#[allow(missing_docs, reason = "named after the processes")]
-pub enum ServiceCommand {
-    Simulator,
-    Controller,
-    Supervisor,
-    Trainer,
-    Schedule,
-    Recorder,
-    Replayer {
-        /// A recording that answers whatever is asked for, instead of the run's order
-        file: Option<PathBuf>,
-    },
-    Reviewer,
-    #[command(name = "ros2-vehicle")]
-    Ros2Vehicle,
-    /// One process of the bare ring
-    Ring {
-        hop: HopArg,
-        #[arg(default_value_t = 0)]
-        rounds: u64,
-    },
-    /// One process of a bare ring over standard input and output
-    StreamRing {
-        hop: HopArg,
-        #[arg(default_value_t = 0)]
-        rounds: u64,
-    },
-    /// Ticks by plain calls, timed
-    Calls,
-    /// Cleans dead nodes off the bus, and ends
-    Cleaner,
-    /// Wakes a frozen process after some milliseconds
-    Wake {
-        pid: i32,
-        after_ms: u64,
-    },
-    /// Becomes a user's program
-    Exec {
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
-        words: Vec<String>,
-    },
-}
-
-/// The place of a process in the bare ring.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[allow(missing_docs, reason = "numbered")]
-pub enum HopArg {
-    First,
-    Second,
-    Third,
 }

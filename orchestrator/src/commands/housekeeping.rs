@@ -1,121 +1,28 @@
 //! Looking after runs from another terminal: `status`, `stop`, `logs`, `clean`, `doctor`.
 
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use comfy_table::Table;
 use comfy_table::presets::NOTHING;
-use runtime::run::{RunNames, living_runs, stale_segments, sweep_dead_runs};
+use runtime::run::{RunNames, stale_segments, sweep_dead_runs};
 use rustix::process::{Pid, Resource, Signal, getrlimit, kill_process};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::json;
 
-use crate::pipeline::member::Refused;
 use crate::pipeline::process::last_lines;
+use crate::runs::state::RunState;
 use crate::words::Failure;
 use crate::words::terminal::say;
-
-/// What a living run tells of itself, in a file in its private folder.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(crate) struct RunState {
-    pub(crate) run: String,
-    pub(crate) pid: u32,
-    pub(crate) maneuver: String,
-    pub(crate) folder: PathBuf,
-    pub(crate) batch: u64,
-    pub(crate) attempt: u32,
-    pub(crate) tick: u64,
-    pub(crate) processes: Vec<ProcessState>,
-}
-
-/// One process of it.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(crate) struct ProcessState {
-    pub(crate) name: String,
-    pub(crate) pid: u32,
-    pub(crate) restarts: u32,
-    pub(crate) state: String,
-    #[serde(flatten)]
-    pub(crate) refused: Refused,
-}
-
-impl RunState {
-    /// Name of the file.
-    pub(crate) const FILE: &str = "run.json";
-
-    /// Writes the file, by rename: whoever reads it reads all of it.
-    pub(crate) fn write(&self, path: &Path) -> io::Result<()> {
-        let part = path.with_extension("part");
-        fs::write(&part, serde_json::to_vec(self)?)?;
-        fs::rename(part, path)
-    }
-
-    /// The living run of the orchestrator with this process id.
-    pub(crate) fn of_orchestrator(pid: u32) -> Option<Self> {
-        living().into_iter().find(|state| state.pid == pid)
-    }
-
-    fn read(names: &RunNames) -> Option<Self> {
-        serde_json::from_slice(&fs::read(names.root.join(Self::FILE)).ok()?).ok()
-    }
-}
-
-/// The living runs of this user.
-fn living() -> Vec<RunState> {
-    living_runs().iter().filter_map(RunState::read).collect()
-}
-
-/// The living run that a user means: by the start of its number, by its folder, or the only one there is.
-fn find(run: Option<&str>) -> Result<RunState, Failure> {
-    let mut runs = living();
-    if let Some(word) = run {
-        let folder = fs::canonicalize(word).ok();
-        runs.retain(|state| state.run.starts_with(word) || Some(&state.folder) == folder.as_ref());
-    }
-    match (runs.len(), run) {
-        (1, _) => Ok(runs.remove(0)),
-        (0, None) => Err(Failure::User("no run is alive".to_owned())),
-        (0, Some(word)) => Err(Failure::User(format!(
-            "no living run has a number or folder {word:?}; `pathtune status` lists them"
-        ))),
-        (_, _) => Err(Failure::User(format!(
-            "several runs are meant: {}; name one",
-            runs.iter().map(|state| state.run.as_str()).collect::<Vec<_>>().join(", ")
-        ))),
-    }
-}
-
-/// A living run, as observers need it.
-#[derive(Debug, Clone)]
-pub struct LivingRun {
-    /// What names it on this machine.
-    pub names: RunNames,
-    /// Its output folder.
-    pub folder: PathBuf,
-}
-
-/// The living run that a user means: by the start of its number, by its folder, or the only one there is.
-///
-/// # Errors
-/// If no run or several are meant.
-pub fn living_run(run: Option<&str>) -> Result<LivingRun, Failure> {
-    let state = find(run)?;
-    let names = living_runs()
-        .into_iter()
-        .find(|names| format!("{:016x}", names.run) == state.run)
-        .ok_or_else(|| Failure::User(format!("run {} has just ended", state.run)))?;
-    Ok(LivingRun { names, folder: state.folder })
-}
 
 /// Lists the living runs.
 ///
 /// # Errors
 /// None that a user could mend.
-pub fn status(as_json: bool) -> Result<(), Failure> {
-    let runs = living();
+pub(crate) fn status(as_json: bool) -> Result<(), Failure> {
+    let runs = RunState::living();
     if as_json {
         say!("{}", serde_json::to_string(&json!({ "runs": runs })).context("the runs")?);
         return Ok(());
@@ -146,13 +53,13 @@ pub fn status(as_json: bool) -> Result<(), Failure> {
         ]);
         for process in state.processes {
             table.add_row([
-                format!("  {}", process.name),
-                process.pid.to_string(),
+                format!("  {}", process.facts.name),
+                process.facts.pid.to_string(),
                 process.state,
-                process.restarts.to_string(),
-                process.refused.dropped.to_string(),
-                process.refused.rejected.to_string(),
-                process.refused.late.to_string(),
+                process.facts.restarts.to_string(),
+                process.facts.dropped.to_string(),
+                process.facts.rejected.to_string(),
+                process.facts.late.to_string(),
             ]);
         }
         say!("{table}");
@@ -164,13 +71,13 @@ pub fn status(as_json: bool) -> Result<(), Failure> {
 ///
 /// # Errors
 /// If no run or several are meant, or it does not end.
-pub fn stop(run: Option<&str>) -> Result<(), Failure> {
-    let state = find(run)?;
+pub(crate) fn stop(run: Option<&str>) -> Result<(), Failure> {
+    let state = RunState::find(run)?;
     let pid = Pid::from_raw(state.pid as i32).context("no process id")?;
     kill_process(pid, Signal::INT).context("failed to interrupt the run")?;
     // Its processes get five seconds each.
     let until = Instant::now() + Duration::from_secs(30);
-    while living().iter().any(|other| other.run == state.run) {
+    while RunState::living().iter().any(|other| other.run == state.run) {
         if Instant::now() > until {
             return Err(
                 anyhow::anyhow!("run {} does not stop; kill -9 {}", state.run, state.pid).into()
@@ -186,10 +93,10 @@ pub fn stop(run: Option<&str>) -> Result<(), Failure> {
 ///
 /// # Errors
 /// If no run is meant, or it has no such log.
-pub fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Result<(), Failure> {
+pub(crate) fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Result<(), Failure> {
     let folder = match run.map(Path::new).filter(|path| path.join("logs").is_dir()) {
         Some(folder) => folder.to_owned(),
-        None => find(run)?.folder,
+        None => RunState::find(run)?.folder,
     };
     let mut paths: Vec<PathBuf> = fs::read_dir(folder.join("logs"))
         .with_context(|| format!("failed to read {:?}", folder.join("logs")))?
@@ -218,7 +125,7 @@ pub fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Result<()
 ///
 /// # Errors
 /// None that a user could mend.
-pub fn clean(dry_run: bool) -> Result<(), Failure> {
+pub(crate) fn clean(dry_run: bool) -> Result<(), Failure> {
     let stale = stale_segments();
     if dry_run {
         for run in runtime::run::dead_runs() {
@@ -251,7 +158,7 @@ struct Finding {
 ///
 /// # Errors
 /// If something would keep a run from working; exit code 1.
-pub fn doctor(as_json: bool) -> Result<(), Failure> {
+pub(crate) fn doctor(as_json: bool) -> Result<(), Failure> {
     let findings = examine();
     if as_json {
         say!("{}", json!({ "checks": findings }));

@@ -6,8 +6,8 @@ use ipc_types::{Attempt, BatchHeader, Rearm, Safety};
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
 
-use crate::commands::housekeeping::living_run;
 use crate::pipeline::main_loop::describe_reasons;
+use crate::runs::living_run;
 use crate::words::Failure;
 use crate::words::terminal::say;
 
@@ -19,7 +19,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(5);
 ///
 /// # Errors
 /// If no run is meant, no vehicle is stopped, or one is not let drive; says why.
-pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
+pub(crate) fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
     let run = living_run(run)?;
     let observer = Observer::attach(&run.names).map_err(|why| Failure::User(why.to_string()))?;
     let states = observer.bus().observe::<Safety>()?;

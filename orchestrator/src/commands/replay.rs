@@ -11,10 +11,13 @@ use serde_json::Value;
 use toml::{Table, Value as Toml};
 
 use crate::cli::ReplayArgs;
-use crate::commands::train::run;
-use crate::pipeline::main_loop::{Interrupts, Plan};
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
+use crate::pipeline::services::Services;
+use crate::runs::folder::refuse_earlier;
 use crate::runs::preflight;
+use crate::runs::running::run;
 use crate::runs::setup::read;
 use crate::words::Failure;
 
@@ -23,10 +26,12 @@ use crate::words::Failure;
 /// # Errors
 /// The user's mistakes.
 pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Failure> {
+    refuse_earlier(&args.file.display().to_string(), recorded)?;
     let mut config: Table = toml::from_str(recorded).context("the recorded configuration")?;
     if let Some(file) = &args.config {
         let origin = file.display();
         let text = read(file, "--config")?;
+        refuse_earlier(&format!("--config {origin}"), &text)?;
         let layer: Table = toml::from_str(&text)
             .map_err(|why| Failure::User(format!("--config {origin}: {}", why.message())))?;
         lay(&mut config, layer);
@@ -79,7 +84,12 @@ fn lay(under: &mut Table, over: Table) {
 ///
 /// # Errors
 /// If the pipeline cannot be kept alive; the folder then stays, with its logs.
-pub fn replay(config: RunConfig, order_file: &str, order: &str) -> Result<Value, Failure> {
+pub fn replay(
+    config: RunConfig,
+    services: Services,
+    order_file: &str,
+    order: &str,
+) -> Result<Value, Failure> {
     let interrupted = Interrupts::new()?;
     let mut launch = Launch::train();
     launch.prefer_service(Role::Vehicle, "replayer");
@@ -93,6 +103,7 @@ pub fn replay(config: RunConfig, order_file: &str, order: &str) -> Result<Value,
     let plan = Plan {
         config,
         launch,
+        services,
         sweep: None,
         folder,
         budget: Budget { restarts: 5, within: Duration::from_secs(10) },
@@ -103,7 +114,7 @@ pub fn replay(config: RunConfig, order_file: &str, order: &str) -> Result<Value,
         interrupted,
     };
     run(&plan)?;
-    let outcome = fs::read(plan.folder.join("outcome.json")).context("the outcome")?;
+    let outcome = fs::read(plan.folder.join(outcome::OUTCOME_FILE)).context("the outcome")?;
     let outcome = serde_json::from_slice(&outcome).context("the outcome")?;
     fs::remove_dir_all(&plan.folder)?;
     Ok(outcome)

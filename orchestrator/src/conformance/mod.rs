@@ -12,7 +12,7 @@ mod protocol;
 mod realtime;
 mod stand;
 
-use std::fs::{self, File};
+use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
@@ -21,14 +21,15 @@ use comfy_table::presets::NOTHING;
 use config::launch::{Launch, Role};
 use config::{Layers, RunConfig};
 use ipc_types::Status;
-use runtime::run::{LOCK_FILE, RunNames, sweep_dead_runs};
+use runtime::run::sweep_dead_runs;
 use runtime::{Attachment, Wait};
 use serde_json::json;
 
 use crate::cli::ConformanceArgs;
-use crate::pipeline::main_loop::Interrupts;
-use crate::pipeline::process::last_lines;
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::process::{Program, last_lines};
 use crate::runs::preflight;
+use crate::runs::running::PrivateNames;
 use crate::words::Failure;
 use crate::words::terminal::say;
 use checks::{Findings, Verdict};
@@ -38,15 +39,13 @@ use stand::{MAX_SLOTS, Stand};
 ///
 /// # Errors
 /// The user's mistakes; if the stand itself fails.
-pub fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
+pub(crate) fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
     let interrupted = Interrupts::new()?;
     let config = resolve(args)?;
     let mut launch = Launch::train();
     let command = command_of(&args.command)?;
-    launch.replace(&format!("vehicle={command}"))?;
+    launch.replace(&format!("{}={command}", Role::Vehicle.name()))?;
     preflight::check_commands(&launch)?;
-    let entry = launch.process.into_iter().find(|entry| entry.role == Role::Vehicle);
-    let entry = entry.context("the preset has a vehicle")?;
 
     sweep_dead_runs();
     preflight::check_shared_memory(MAX_SLOTS)?;
@@ -62,12 +61,9 @@ pub fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
     let text = toml::to_string(&config).context("the configuration")?;
     fs::write(folder.0.join("config.toml"), text)?;
 
-    let names = RunNames::create().map_err(|error| Failure::User(error.to_string()))?;
-    let names = Removed(names);
-    let lock = File::create(names.0.root.join(LOCK_FILE))?;
-    lock.lock()?;
+    let private = PrivateNames::create()?;
     let attachment = Attachment {
-        names: names.0.clone(),
+        names: private.names.clone(),
         folder: folder.0.clone(),
         max_len: MAX_SLOTS,
         incarnation: 0,
@@ -78,7 +74,7 @@ pub fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
         chaos: None,
     };
     let mut findings = Findings::default();
-    let mut stand = Stand::new(config, entry, attachment, interrupted)?;
+    let mut stand = Stand::new(config, Program::Command(command), attachment, interrupted)?;
     examine(args, &mut stand, &mut findings)?;
     drop(stand);
     tell(args, &findings, &folder.0)
@@ -208,14 +204,5 @@ impl Drop for Folder {
         if !self.1 {
             let _ = fs::remove_dir_all(&self.0);
         }
-    }
-}
-
-/// Everything of the run, removed with this.
-struct Removed(RunNames);
-
-impl Drop for Removed {
-    fn drop(&mut self) {
-        self.0.remove();
     }
 }

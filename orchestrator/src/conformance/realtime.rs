@@ -29,7 +29,7 @@ fn paces(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     for left in (0..TRIES).rev() {
         let Some(first) = stand.begin(1, 0)? else { return Ok(()) };
         let seen = stand.drive(first, stand.ticks_of(2.0), |_| Command::default())?;
-        let pace = Pace::new(stand, &seen);
+        let pace = SeenPacing::new(stand, &seen);
         if pace.is_good() || left == 0 {
             pace.note(to);
             break;
@@ -39,7 +39,7 @@ fn paces(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
 }
 
 /// How a vehicle paced, in ticks.
-struct Pace {
+struct SeenPacing {
     heard: usize,
     due: f64,
     gaps: Vec<f64>,
@@ -47,7 +47,7 @@ struct Pace {
     most_off: f64,
 }
 
-impl Pace {
+impl SeenPacing {
     fn new(stand: &Stand, seen: &[Seen]) -> Self {
         let tick_ns = stand.config.drive.tick_s * 1e9;
         let from = &seen[0].header;

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use config::RunConfig;
-use config::launch::ProcessEntry;
 use ipc_types::{
     Attempt, BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WirePose,
     has,
@@ -13,8 +12,8 @@ use ipc_types::{
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Inlet, Outlet};
 
-use crate::pipeline::main_loop::Interrupts;
-use crate::pipeline::process::{Process, clean_up_behind, describe};
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::process::{Process, Program, clean_up_behind, describe};
 use crate::words::Failure;
 
 /// The most slots that are driven at once.
@@ -71,7 +70,7 @@ impl Sides {
 pub(super) struct Stand {
     pub(super) config: RunConfig,
     pub(super) realtime: bool,
-    entry: ProcessEntry,
+    program: Program,
     log: PathBuf,
     pub(super) attachment: Attachment,
     /// Holds the topics.
@@ -99,7 +98,7 @@ pub(super) struct Stand {
 impl Stand {
     pub(super) fn new(
         config: RunConfig,
-        entry: ProcessEntry,
+        program: Program,
         attachment: Attachment,
         interrupted: Interrupts,
     ) -> Result<Self, Failure> {
@@ -108,7 +107,7 @@ impl Stand {
         Ok(Self {
             realtime: config.run.realtime,
             config,
-            entry,
+            program,
             log,
             status: bus.inlet()?,
             odometry: bus.observe()?,
@@ -136,7 +135,7 @@ impl Stand {
     pub(super) fn start(&mut self) -> Result<(), Failure> {
         self.attachment.incarnation += 1;
         self.beat = None;
-        let process = Process::start(&self.entry, &self.attachment, &self.log)?;
+        let process = Process::start(&self.program, &self.attachment, &self.log)?;
         self.process = Some(process);
         self.started_ns = now_ns();
         Ok(())

@@ -4,12 +4,9 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use config::launch::{Launch, Role};
-use config::{RunConfig, SweepPlan};
+use config::launch::Role;
 use ipc_types::{
     Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal,
     Safety, Status, WakeRole, WirePose, has,
@@ -18,20 +15,21 @@ use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;
 use runtime::observer::CORE_FILE;
 use runtime::run::RunNames;
-use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Wait, Waiting};
+use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
-use crate::commands::housekeeping::RunState;
 use crate::pipeline::cores::Placement;
+use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::member::{Member, Refused, State};
 use crate::pipeline::observers::ObserverCare;
+use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::pipeline::process::clean_up_behind;
 use crate::pipeline::progress::Progress;
 use crate::pipeline::recovery::{RandomKills, Recoveries};
-use crate::pipeline::restart::{Budget, Decision};
+use crate::pipeline::restart::Decision;
 use crate::pipeline::sequencer::Sequencer;
-use crate::runs::result::RunFacts;
+use crate::runs::state::RunState;
 use crate::words::Failure;
 
 /// A batch without a tick for so long has lost a message; progress is told with each sign of life.
@@ -47,48 +45,6 @@ const NAP_NS: i64 = 20_000_000;
 const WARN_EVERY_NS: u64 = 1_000_000_000;
 /// Between two looks at the children while messages flow.
 const REAP_EVERY_NS: u64 = 1_000_000;
-
-/// What a pipeline is made of.
-pub(crate) struct Plan {
-    pub(crate) config: RunConfig,
-    pub(crate) launch: Launch,
-    /// What is driven instead of a training.
-    pub(crate) sweep: Option<SweepPlan>,
-    pub(crate) folder: PathBuf,
-    pub(crate) budget: Budget,
-    /// Faults on purpose: the script with its seed.
-    pub(crate) chaos: Option<(String, u64)>,
-    pub(crate) quiet: bool,
-    /// How the ring waits, if somebody has said.
-    pub(crate) wait: Option<Wait>,
-    /// Priority of first-in-first-out scheduling of the ring, if it was asked for.
-    pub(crate) fifo: Option<u8>,
-    pub(crate) interrupted: Interrupts,
-}
-
-/// Signals that ask for the end.
-#[derive(Debug, Clone)]
-pub(crate) struct Interrupts(Arc<AtomicUsize>);
-
-impl Interrupts {
-    /// Catches them from now on.
-    pub(crate) fn new() -> Result<Self, Failure> {
-        use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-        let last = Arc::new(AtomicUsize::new(0));
-        for signal in [SIGINT, SIGTERM, SIGHUP] {
-            signal_hook::flag::register_usize(signal, last.clone(), signal as usize)?;
-        }
-        Ok(Self(last))
-    }
-
-    /// The one that came last, if any did.
-    pub(crate) fn signal(&self) -> Option<i32> {
-        match self.0.load(Ordering::Relaxed) {
-            0 => None,
-            signal => Some(signal as i32),
-        }
-    }
-}
 
 /// A running pipeline.
 pub(crate) struct Pipeline<'a> {
@@ -218,13 +174,13 @@ impl<'a> Pipeline<'a> {
     }
 
     /// The main loop: from the first start to the trainer's outcome, or to the reason why there is none.
-    pub(crate) fn run_to_end(&mut self) -> Result<RunFacts, Failure> {
+    pub(crate) fn run_to_end(&mut self) -> Result<PipelineFacts, Failure> {
         let result = self.loop_until_over();
         self.stop_all();
         result?;
-        Ok(RunFacts {
+        Ok(PipelineFacts {
             counts: self.sequencer.counts(),
-            recovery: self.recoveries.to_json(chaos::fired(&self.attachment.names.root)),
+            recovery: self.recoveries.sum_up(chaos::fired(&self.attachment.names.root)),
             processes: self.members.iter().map(Member::facts).collect(),
             wall_s: (now_ns() - self.started_ns) as f64 / 1e9,
             tick_ns: self.driving_ns as f64 / self.driving_ticks.max(1) as f64,

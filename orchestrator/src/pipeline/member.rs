@@ -7,15 +7,13 @@ use config::launch::{ProcessEntry, Role};
 use ipc_types::Status;
 use runtime::Attachment;
 use runtime::clock::now_ns;
+use outcome::ProcessFacts;
 
-use serde::{Deserialize, Serialize};
-
-use crate::commands::housekeeping::ProcessState;
 use crate::pipeline::cores::Placement;
-use crate::pipeline::main_loop::Plan;
-use crate::pipeline::process::{Process, describe, last_lines};
+use crate::pipeline::plan::Plan;
+use crate::pipeline::process::{Process, Program, describe, last_lines};
 use crate::pipeline::restart::{Budget, RestartPolicy};
-use crate::runs::result::ProcessFacts;
+use crate::runs::state::ProcessState;
 use crate::words::Failure;
 
 /// A process must be ready this soon after its start: it opens a dozen files.
@@ -28,6 +26,7 @@ const USERS_MISTAKE: i32 = 64;
 /// A process of the pipeline, alive or not.
 pub(crate) struct Member {
     pub(crate) entry: ProcessEntry,
+    program: Program,
     pub(crate) name: &'static str,
     pub(crate) log: PathBuf,
     pub(crate) state: State,
@@ -44,14 +43,13 @@ pub(crate) struct Member {
 }
 
 /// Samples that a process did not take.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Refused {
     /// They did not match run, batch, attempt and tick.
     pub(crate) dropped: u64,
     /// They were not finite or out of range.
     pub(crate) rejected: u64,
     /// They came too late, in real time.
-    #[serde(default)]
     pub(crate) late: u64,
 }
 
@@ -85,12 +83,14 @@ impl State {
 
 impl Member {
     pub(crate) fn new(entry: &ProcessEntry, plan: &Plan) -> Self {
-        let name = match entry.command {
-            Some(_) => entry.role.name(),
-            None => entry.own_service(),
+        let program = plan.services.program(entry);
+        let name = match program {
+            Program::Command(_) => entry.role.name(),
+            Program::Service(name) => name,
         };
         Self {
             entry: entry.clone(),
+            program,
             name,
             log: plan.folder.join("logs").join(format!("{name}.log")),
             state: State::Down { due_ns: 0 },
@@ -148,7 +148,7 @@ impl Member {
             fifo: attachment.fifo.filter(|_| place.is_some()),
             ..attachment.clone()
         };
-        let process = Process::start(&self.entry, &attachment, &self.log).map_err(|error| {
+        let process = Process::start(&self.program, &attachment, &self.log).map_err(|error| {
             anyhow::Error::new(error).context(format!("failed to start the {}", self.name))
         })?;
         self.pid = process.id();
@@ -232,8 +232,7 @@ impl Member {
             State::Starting { .. } => "starting",
             State::Ready { .. } => "ready",
         };
-        let ProcessFacts { name, pid, restarts, refused } = self.facts();
-        ProcessState { name: name.to_owned(), pid, restarts, state: state.to_owned(), refused }
+        ProcessState { state: state.to_owned(), facts: self.facts() }
     }
 
     /// Samples that no incarnation took, as far as they told.
@@ -242,11 +241,14 @@ impl Member {
     }
 
     pub(crate) fn facts(&self) -> ProcessFacts {
+        let Refused { dropped, rejected, late } = self.all_refused();
         ProcessFacts {
-            refused: self.all_refused(),
-            name: self.name,
+            name: self.name.to_owned(),
             pid: self.pid,
             restarts: self.incarnation.saturating_sub(1) as u32,
+            dropped,
+            rejected,
+            late,
         }
     }
 }

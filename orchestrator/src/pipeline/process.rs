@@ -8,9 +8,17 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use config::launch::ProcessEntry;
 use runtime::{Attachment, cleanup};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process_group, pidfd_open};
+
+/// What a process of the pipeline runs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Program {
+    /// Our own service with this name.
+    Service(&'static str),
+    /// A command of the user's, split into words as a shell would.
+    Command(String),
+}
 
 /// A living process of the pipeline, in a process group of its own.
 #[derive(Debug)]
@@ -27,15 +35,15 @@ impl Process {
     ///
     /// # Errors
     /// If the program or the log file cannot be opened.
-    pub fn start(entry: &ProcessEntry, attachment: &Attachment, log: &Path) -> io::Result<Self> {
+    pub fn start(program: &Program, attachment: &Attachment, log: &Path) -> io::Result<Self> {
         // The very binary that runs, also when the file was replaced since.
         let mut command = Command::new("/proc/self/exe");
         command.arg0("pathtune");
-        match &entry.command {
-            None => {
-                command.args(["service", entry.own_service()]);
+        match program {
+            Program::Service(name) => {
+                command.args(["service", name]);
             }
-            Some(words) => {
+            Program::Command(words) => {
                 // Ties itself to us and moves to the core, then becomes the user's program.
                 command.args(["service", "exec", "--"]);
                 command.args(shell_words::split(words).map_err(io::Error::other)?);
@@ -105,7 +113,7 @@ fn pid_of(child: &Child) -> Pid {
     Pid::from_child(child)
 }
 
-/// Becomes a user's program: the second half of [`Process::start`] with a command.
+/// Becomes a user's program: the second half of [`Process::start`] with a command, and the service `exec`.
 ///
 /// # Errors
 /// Always, if it returns at all: the orchestrator is gone, or the program cannot be executed.

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ipc_types::{LearnerProgress, has};
 
-use crate::pipeline::sequencer::Counts;
+use crate::pipeline::sequencer::DriveCounts;
 use crate::words::terminal::tell;
 
 /// How often the terminal is drawn anew.
@@ -34,10 +34,12 @@ pub(crate) struct Progress {
     started: Instant,
     shown: Instant,
     tick_s: f64,
+    /// Name of what drives are judged by.
+    objective: String,
 }
 
 impl Progress {
-    pub(crate) fn new(quiet: bool, tick_s: f64) -> Self {
+    pub(crate) fn new(quiet: bool, tick_s: f64, objective: &str) -> Self {
         let is_terminal = std::io::stderr().is_terminal();
         let (words, to_write) = sync_channel(WAITING);
         let (is_written, written) = channel();
@@ -49,7 +51,8 @@ impl Progress {
         }
         let now = Instant::now();
         let words = (!quiet).then_some(words);
-        Self { words, written, is_terminal, started: now, shown: now, tick_s }
+        let objective = objective.to_owned();
+        Self { words, written, is_terminal, started: now, shown: now, tick_s, objective }
     }
 
     fn put(&self, words: Words) {
@@ -65,7 +68,7 @@ impl Progress {
     }
 
     /// Shows where the training stands, not too often.
-    pub(crate) fn show(&mut self, flags: u32, learners: &[LearnerProgress], counts: Counts) {
+    pub(crate) fn show(&mut self, flags: u32, learners: &[LearnerProgress], counts: DriveCounts) {
         let every = if self.is_terminal { REDRAW } else { LINE };
         if self.words.is_none() || learners.is_empty() || self.shown.elapsed() < every {
             return;
@@ -83,24 +86,24 @@ impl Progress {
         self.put(Words::State { message, of: Some((done, all)) });
     }
 
-    fn message(&self, learners: &[LearnerProgress], counts: Counts) -> String {
+    fn message(&self, learners: &[LearnerProgress], counts: DriveCounts) -> String {
         let slowest = learners.iter().map(|learner| learner.episode).min().unwrap_or_default();
         let episodes = learners[0].episodes;
         let epsilon = learners.iter().map(|learner| learner.epsilon).fold(0.0, f64::max);
-        let best =
-            learners.iter().map(|learner| learner.best_distance).fold(f64::INFINITY, f64::min);
+        let best = learners.iter().map(|learner| learner.best_value).fold(f64::INFINITY, f64::min);
         let episode = (slowest + 1).min(episodes);
         format!(
-            "episode {episode}/{episodes}  epsilon {epsilon:.2}  best distance {best:.4}  {}",
+            "episode {episode}/{episodes}  epsilon {epsilon:.2}  best {} {best:.4}  {}",
+            self.objective,
             self.speed(counts),
         )
     }
 
-    fn speed(&self, counts: Counts) -> String {
+    fn speed(&self, counts: DriveCounts) -> String {
         let seconds = self.started.elapsed().as_secs_f64();
         format!(
             "{:.0} drives/s  {:.0} x real time",
-            (counts.driven + counts.beside) as f64 / seconds,
+            (counts.reported + counts.beside) as f64 / seconds,
             counts.ticks as f64 * self.tick_s / seconds,
         )
     }

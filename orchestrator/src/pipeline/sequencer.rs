@@ -26,15 +26,15 @@ pub struct Sequencer {
     driving: Vec<DriveRequest>,
     /// The last outcome of each learner.
     outcomes: BTreeMap<u32, DriveOutcome>,
-    counts: Counts,
+    counts: DriveCounts,
 }
 
 /// What was driven.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct DriveCounts {
     /// Drives of learners, or of a list, that were reported.
-    pub driven: u64,
-    /// Drives beside a training: of finalists, and of the tuned gains for the figures.
+    pub reported: u64,
+    /// Drives beside a training: of finalists, and of the tuned set for the figures.
     pub beside: u64,
     /// Drives that were asked for again behind a crash.
     pub reissued: u64,
@@ -56,7 +56,7 @@ impl Sequencer {
             proposals: Vec::new(),
             driving: Vec::new(),
             outcomes: BTreeMap::new(),
-            counts: Counts::default(),
+            counts: DriveCounts::default(),
         }
     }
 
@@ -157,7 +157,7 @@ impl Sequencer {
             .collect();
         for outcome in &outcomes {
             if outcome.report.learner < self.learners {
-                self.counts.driven += 1;
+                self.counts.reported += 1;
             } else {
                 self.counts.beside += 1;
             }
@@ -188,7 +188,7 @@ impl Sequencer {
     }
 
     /// What was driven.
-    pub fn counts(&self) -> Counts {
+    pub fn counts(&self) -> DriveCounts {
         self.counts
     }
 
@@ -249,7 +249,7 @@ mod tests {
         assert_eq!(sequencer.report(second, &reports).unwrap()[0].attempt, second.attempt);
         assert!(sequencer.report(second, &reports).is_none());
         let counts = sequencer.counts();
-        assert_eq!((counts.driven, counts.reissued, counts.dropped), (1, 1, 3));
+        assert_eq!((counts.reported, counts.reissued, counts.dropped), (1, 1, 3));
         assert!(sequencer.reissue().is_none());
     }
 
@@ -309,7 +309,7 @@ mod tests {
                     *step += 1;
                 }
             }
-            prop_assert_eq!(sequencer.counts().driven, 10 * learners as u64);
+            prop_assert_eq!(sequencer.counts().reported, 10 * learners as u64);
         }
     }
 }

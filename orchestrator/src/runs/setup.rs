@@ -11,14 +11,19 @@ use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
 
 use crate::cli::{SetupArgs, WaitArg};
-use crate::pipeline::main_loop::{Interrupts, Plan};
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
-use crate::runs::preflight;
-use crate::words::Failure;
-use crate::words::terminal::{say, tell};
+use crate::pipeline::services::Services;
+use crate::runs::{folder, preflight};
+use crate::words::{Failure, known};
 
-/// The layers that every command shares: manoeuvre or own path, vehicle, file, single keys.
-pub(crate) fn layers(maneuver: Option<&str>, args: &SetupArgs) -> Result<Layers, Failure> {
+/// The layers that every command shares: manoeuvre or own path, file, vehicle, law, objective, single keys.
+pub(crate) fn layers(
+    maneuver: Option<&str>,
+    args: &SetupArgs,
+    tuner: Option<&str>,
+) -> Result<Layers, Failure> {
     let mut layers = match (maneuver, &args.path) {
         (Some(maneuver), _) => Layers::maneuver(maneuver)?,
         (None, Some(_)) => Layers::own_path(),
@@ -32,7 +37,22 @@ pub(crate) fn layers(maneuver: Option<&str>, args: &SetupArgs) -> Result<Layers,
         },
     };
     if let Some(file) = &args.config {
-        layers.add_document(&file.display().to_string(), &read(file, "--config")?)?;
+        let (origin, text) = (file.display().to_string(), read(file, "--config")?);
+        folder::refuse_earlier(&origin, &text)?;
+        layers.add_document(&origin, &text)?;
+    }
+    if let Some(law) = &args.law {
+        check_preset("--law", "laws", law, Path::new(law).is_file())?;
+        layers.set_law("--law", law)?;
+    }
+    if let Some(objective) = &args.objective {
+        check_preset("--objective", "objectives", objective, false)?;
+        layers.set_objective("--objective", objective)?;
+    }
+    // Before single keys, which may be its settings.
+    if let Some(tuner) = tuner {
+        check_preset("--tuner", "tuners", tuner, false)?;
+        layers.set_tuner("--tuner", tuner)?;
     }
     if let Some(vehicle) = &args.vehicle {
         layers.set_vehicle("--vehicle", vehicle)?;
@@ -52,11 +72,40 @@ pub(crate) fn layers(maneuver: Option<&str>, args: &SetupArgs) -> Result<Layers,
     Ok(layers)
 }
 
-/// The processes of a pipeline; `service` fills the trainer's role where nothing else was named for it.
-pub(crate) fn launch(args: &SetupArgs, service: Option<&str>) -> Result<Launch, Failure> {
+/// Checks that a preset of that name lies in a folder of presets, or that a file is meant.
+pub(crate) fn check_preset(
+    option: &str,
+    folder: &str,
+    name: &str,
+    is_file: bool,
+) -> Result<(), Failure> {
+    let mut names = config::names_in(folder);
+    if is_file || names.any(|known| known == name) {
+        return Ok(());
+    }
+    let hint = known(name, config::names_in(folder));
+    let what = match folder {
+        "laws" => "neither a law nor a file",
+        "tuners" => "no tuner",
+        _ => "no objective",
+    };
+    Err(Failure::User(format!("{option} {name}: {what}; {hint}")))
+}
+
+/// The processes of a pipeline; `trainer` fills the trainer's role where nothing else was named for it.
+pub(crate) fn launch(
+    args: &SetupArgs,
+    services: Services,
+    trainer: Option<&str>,
+) -> Result<Launch, Failure> {
     let mut launch = match &args.launch {
         None => Launch::train(),
-        Some(file) => Launch::parse(&file.display().to_string(), &read(file, "--launch")?)?,
+        Some(file) => {
+            let origin = file.display().to_string();
+            let launch = Launch::parse(&origin, &read(file, "--launch")?)?;
+            services.check(&origin, &launch)?;
+            launch
+        }
     };
     if args.record {
         launch.record(args.record_split);
@@ -64,8 +113,8 @@ pub(crate) fn launch(args: &SetupArgs, service: Option<&str>) -> Result<Launch, 
     for replacement in &args.replace {
         launch.replace(replacement)?;
     }
-    if let Some(service) = service {
-        launch.prefer_service(Role::Trainer, service);
+    if let Some(trainer) = trainer {
+        launch.prefer_service(Role::Trainer, trainer);
     }
     Ok(launch)
 }
@@ -84,39 +133,12 @@ pub(crate) struct Ready {
     _lock: fs::File,
 }
 
-/// A run that has come to its end.
-#[derive(Debug)]
-pub struct Ended {
-    /// Its folder.
-    pub folder: PathBuf,
-    /// Standard output belongs to its JSON.
-    pub json: bool,
-}
-
-/// Names the files of an ended run that people will want to open.
-///
-/// # Errors
-/// If standard output does not take it.
-pub fn name_files(ended: &Ended, report: Result<PathBuf, String>) -> Result<(), Failure> {
-    let here = std::env::current_dir().unwrap_or_default();
-    let near = |path: &Path| path.strip_prefix(&here).unwrap_or(path).display().to_string();
-    match (report, ended.json) {
-        // The result stands, whatever becomes of its pictures.
-        (Err(why), _) => tell!("pathtune: no report: {why}"),
-        (Ok(_), true) => {}
-        (Ok(report), false) => {
-            say!("{}", near(&ended.folder.join("result.json")));
-            say!("{}", near(&report));
-        }
-    }
-    Ok(())
-}
-
 /// Checks what a run needs of the machine, and makes its folder.
 pub(crate) fn prepare(
     args: &SetupArgs,
     config: RunConfig,
     launch: Launch,
+    services: Services,
     sweep: Option<SweepPlan>,
     folder: Folder,
 ) -> Result<Ready, Failure> {
@@ -148,6 +170,7 @@ pub(crate) fn prepare(
     let plan = Plan {
         config,
         launch,
+        services,
         sweep,
         folder,
         budget: Budget { restarts: args.restart_budget, within: Duration::from_secs(10) },

@@ -59,3 +59,13 @@ impl From<runtime::BusError> for Failure {
         Failure::Other(error.into())
     }
 }
+
+/// What to say to somebody who wrote `word` where one of `names` was meant: the nearest one, and all of them.
+pub(crate) fn known<'a>(word: &str, names: impl IntoIterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.into_iter().collect();
+    let all = names.join(", ");
+    match config::nearest(word, names) {
+        Some(near) => format!("did you mean {near}? There are {all}"),
+        None => format!("there are {all}"),
+    }
+}

@@ -149,9 +149,13 @@ impl DriveController {
     pub fn tick(&mut self, tick: u64, seen: Seen) -> Decision {
         let reference_pose = self.reference.advance(tick, seen.measured);
         let Seen { measured, speed_mps, yaw_rate_radps, truth, .. } = seen;
-        let sight =
-            Sight::of_vehicle(self.tracked_point_m, self.wheelbase_m, &self.reference, tick)
-                .with(reference_pose, measured, speed_mps, yaw_rate_radps, self.near_m);
+        let sight = Sight::of_vehicle(
+            self.tracked_point_m,
+            self.wheelbase_m,
+            &self.reference,
+            tick,
+        )
+        .with(reference_pose, measured, speed_mps, yaw_rate_radps, self.near_m);
         let command = self.law.command(&self.parameters, &sight);
         let error = sight.error;
         self.near_m = sight.near_m();
@@ -260,7 +264,8 @@ mod tests {
 
     #[test]
     fn progress_is_the_share_of_the_path_that_lies_behind() {
-        let mut drive = drive(&["drive.loop_time_s=0.01", "path.pieces=[{kind='straight',length_m=8.0}]"]);
+        let mut drive =
+            drive(&["drive.loop_time_s=0.01", "path.pieces=[{kind='straight',length_m=8.0}]"]);
         let record = drive.tick(0, still(2.0)).ended.unwrap();
         assert_eq!((record.progress, record.arrived()), (0.25, false));
     }

@@ -1,7 +1,8 @@
 //! The control laws, and the process that applies one.
 //!
-//! [`laws`] and `drive` are pure; [`service`] joins them to the pipeline.
+//! [`laws`], `drive` and [`clock`] are pure; [`service`] joins them to the pipeline.
 
+pub mod clock;
 mod drive;
 pub mod laws;
 #[cfg(feature = "process")]

@@ -29,7 +29,8 @@ pub struct Sight<'a> {
 }
 
 impl<'a> Sight<'a> {
-    /// How far from the last projection the next one is looked for.
+    /// How far beyond a wheelbase from the last projection the next one is looked for: what a car drives in a tick, and
+    /// then some, while its axles are projected in turn.
     const WINDOW_M: f64 = 3.0;
 
     /// The sight at `tick` of the reference's clock, for which `reference` has advanced to `reference_pose`.
@@ -115,7 +116,12 @@ impl<'a> Sight<'a> {
 
     /// The point of the path nearest to another point of the vehicle, such as [`Sight::front_axle`].
     pub fn project(&self, pose: Pose) -> PathPoint {
-        let point = self.path().project(pose.x_m, pose.y_m, self.near_m.get(), Self::WINDOW_M);
+        let point = self.path().project(
+            pose.x_m,
+            pose.y_m,
+            self.near_m.get(),
+            self.wheelbase_m + Self::WINDOW_M,
+        );
         self.near_m.set(point.along_m);
         point
     }

@@ -61,7 +61,7 @@ const WAITING: usize = 2 * OBSERVER_BUFFER;
 
 /// How often things were seen.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct TickCounts {
     /// Ticks whose odometry was seen.
     pub ticks: u64,
     /// Ticks that were driven and not seen, as the gaps between tick numbers tell.
@@ -78,8 +78,8 @@ pub struct Counts {
     pub strays: u64,
 }
 
-impl Counts {
-    fn add(&mut self, other: Counts) {
+impl TickCounts {
+    fn add(&mut self, other: TickCounts) {
         self.ticks += other.ticks;
         self.missed += other.missed;
         self.missed_batches += other.missed_batches;
@@ -97,7 +97,7 @@ pub struct Figures {
     /// Spans between the odometries of consecutive ticks.
     pub period: Histogram<u64>,
     /// How often things were seen.
-    pub counts: Counts,
+    pub counts: TickCounts,
 }
 
 impl Figures {
@@ -108,7 +108,7 @@ impl Figures {
     pub fn new() -> Self {
         let histogram = || Histogram::new_with_bounds(1, LONGEST_NS, 3).expect("bounds in order");
         let hops = Hop::ALL.iter().map(|_| histogram()).collect();
-        Self { hops, period: histogram(), counts: Counts::default() }
+        Self { hops, period: histogram(), counts: TickCounts::default() }
     }
 
     /// The spans of a hop.
@@ -132,7 +132,7 @@ impl Figures {
     pub fn reset(&mut self) {
         self.hops.iter_mut().for_each(Histogram::reset);
         self.period.reset();
-        self.counts = Counts::default();
+        self.counts = TickCounts::default();
     }
 }
 
@@ -314,7 +314,7 @@ fn span(from_ns: u64, to_ns: u64) -> Option<u64> {
     to_ns.checked_sub(from_ns).filter(|ns| *ns <= IMPLAUSIBLE_NS)
 }
 
-fn note(histogram: &mut Histogram<u64>, counts: &mut Counts, span: Option<u64>) {
+fn note(histogram: &mut Histogram<u64>, counts: &mut TickCounts, span: Option<u64>) {
     match span {
         // The histogram begins at 1.
         Some(ns) => histogram.saturating_record(ns.max(1)),
@@ -385,7 +385,7 @@ mod tests {
             }
         }
         assert!((figures.period.value_at_quantile(0.5) as f64 / PERIOD as f64 - 1.0).abs() < 1e-3);
-        assert_eq!(figures.counts, Counts { ticks: 101, ..Counts::default() });
+        assert_eq!(figures.counts, TickCounts { ticks: 101, ..TickCounts::default() });
     }
 
     #[test]
@@ -398,7 +398,7 @@ mod tests {
         // A new attempt, and a new batch, begin with tick 0.
         latency.odometry(first(1, 2));
         latency.odometry(first(2, 1));
-        assert_eq!(taken(&mut latency).counts, Counts { ticks: 2, ..Counts::default() });
+        assert_eq!(taken(&mut latency).counts, TickCounts { ticks: 2, ..TickCounts::default() });
         // Batches 3 to 5 were not seen at all, nor were two ticks of batch 6.
         latency.odometry(tick(6, 1, 1).1);
         let counts = taken(&mut latency).counts;

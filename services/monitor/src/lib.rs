@@ -6,11 +6,11 @@
 
 pub mod latency;
 mod lines;
+mod observed;
 #[cfg(feature = "prometheus")]
 mod prometheus;
 pub mod report;
 mod view;
-mod watch;
 
 use std::io::{self, IsTerminal};
 use std::net::SocketAddr;
@@ -24,7 +24,7 @@ use config::RunConfig;
 use runtime::clock::now_ns;
 use runtime::run::RunNames;
 
-use crate::watch::Watch;
+use crate::observed::ObservedRun;
 
 /// What a user wants to see.
 #[derive(Debug, Clone)]
@@ -97,16 +97,16 @@ pub fn run(options: &Options) -> Result<(), MonitorError> {
     // Refused only to who has asked for less already.
     let _ = rustix::process::nice(NICENESS);
     let budget_ns = budget_ns(options)?;
-    let mut watch = Watch::attach(&options.names, options.vehicle, budget_ns)?;
+    let mut run = ObservedRun::attach(&options.names, options.vehicle, budget_ns)?;
     let mut publish = Publish::new(options)?;
     let asked_for_lines = options.json || options.csv.is_some() || options.once;
     let ended = if asked_for_lines || !io::stdout().is_terminal() {
-        lines::run(options, &mut watch, &stop, &mut publish)?
+        lines::run(options, &mut run, &stop, &mut publish)?
     } else {
-        view::run(options, &mut watch, &stop, &mut publish)?
+        view::run(options, &mut run, &stop, &mut publish)?
     };
-    drop(watch);
-    if ended == Ended::RunOver {
+    drop(run);
+    if ended == StopReason::RunOver {
         // Whoever has closed standard error does not want to know.
         let _ = io::Write::write_fmt(
             &mut io::stderr(),
@@ -132,7 +132,7 @@ fn budget_ns(options: &Options) -> Result<u64, MonitorError> {
 
 /// Why looking has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Ended {
+enum StopReason {
     /// The user has seen enough.
     Enough,
     /// The run's orchestrator is gone.
@@ -158,13 +158,13 @@ impl Stop {
 }
 
 /// What every way of looking does between two looks at the bus.
-struct Pace {
+struct LookTimer {
     began_ns: u64,
     look_ns: u64,
     duration_ns: Option<u64>,
 }
 
-impl Pace {
+impl LookTimer {
     fn new(options: &Options) -> Self {
         let now_ns = now_ns();
         let ns = |duration: Duration| u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX);
@@ -187,9 +187,9 @@ impl Pace {
 }
 
 /// Takes what has come. The bus of a run that ends is gone before its lock is: that is no error.
-fn drain(watch: &mut Watch) -> Result<Option<Ended>, MonitorError> {
-    match watch.drain() {
-        Err(MonitorError::Other(_)) if !watch.is_alive() => Ok(Some(Ended::RunOver)),
+fn drain(run: &mut ObservedRun) -> Result<Option<StopReason>, MonitorError> {
+    match run.drain() {
+        Err(MonitorError::Other(_)) if !run.is_alive() => Ok(Some(StopReason::RunOver)),
         other => other.map(|()| None),
     }
 }

@@ -6,20 +6,20 @@ use std::path::Path;
 
 use runtime::clock::now_ns;
 
+use crate::observed::ObservedRun;
 use crate::report::Report;
-use crate::watch::Watch;
-use crate::{Ended, MonitorError, Options, POLL, Pace, Publish, SECOND_NS, Stop, drain};
+use crate::{LookTimer, MonitorError, Options, POLL, Publish, SECOND_NS, Stop, StopReason, drain};
 
 /// Puts out a report a second until it is enough.
 pub(crate) fn run(
     options: &Options,
-    watch: &mut Watch,
+    run: &mut ObservedRun,
     stop: &Stop,
     publish: &mut Publish,
-) -> Result<Ended, MonitorError> {
+) -> Result<StopReason, MonitorError> {
     let mut outputs = Outputs::new(options)?;
-    let mut pace = Pace::new(options);
-    watch.begin_interval();
+    let mut timer = LookTimer::new(options);
+    run.begin_interval();
     // A single report is of as long as one wants to look.
     let interval_ns = match options.duration {
         Some(duration) if options.once => duration.as_nanos() as u64,
@@ -29,19 +29,19 @@ pub(crate) fn run(
     let mut reports = 0u32;
     let mut has_begun = !options.once;
     let ended = loop {
-        let ended = drain(watch)?;
-        if !has_begun && watch.has_seen_ticks() {
+        let ended = drain(run)?;
+        if !has_begun && run.has_seen_ticks() {
             // And of a time in which something was driven.
             has_begun = true;
-            watch.begin_interval();
+            run.begin_interval();
             due_ns = now_ns() + interval_ns;
         }
         if has_begun && now_ns() >= due_ns {
-            let report = watch.report();
+            let report = run.report();
             publish.put(&report);
             reports += 1;
             if !outputs.put(&report)? || options.once {
-                break Ended::Enough;
+                break StopReason::Enough;
             }
             // Who was frozen for a while does not catch up on lines.
             while due_ns <= now_ns() {
@@ -51,23 +51,23 @@ pub(crate) fn run(
         if let Some(ended) = ended {
             break ended;
         }
-        if stop.is_asked_for() || (pace.is_over() && !(options.once && has_begun)) {
-            break Ended::Enough;
+        if stop.is_asked_for() || (timer.is_over() && !(options.once && has_begun)) {
+            break StopReason::Enough;
         }
-        if pace.is_time_to_look() {
-            watch.new_restarts();
-            if !watch.is_alive() {
-                drain(watch)?;
-                break Ended::RunOver;
+        if timer.is_time_to_look() {
+            run.new_restarts();
+            if !run.is_alive() {
+                drain(run)?;
+                break StopReason::RunOver;
             }
         }
         std::thread::sleep(POLL);
     };
     // Who looks for less than a second is told about less than a second.
-    if reports == 0 && watch.has_seen_ticks() {
-        outputs.put(&watch.report())?;
+    if reports == 0 && run.has_seen_ticks() {
+        outputs.put(&run.report())?;
     } else if outputs.is_text() && reports > 1 {
-        outputs.put_text(&format!("in all\n{}", watch.total().table()))?;
+        outputs.put_text(&format!("in all\n{}", run.total().table()))?;
     }
     Ok(ended)
 }

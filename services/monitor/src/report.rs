@@ -7,7 +7,7 @@ use hdrhistogram::Histogram;
 
 use serde::Serialize;
 
-use crate::latency::{Counts, Figures, Hop, Latency};
+use crate::latency::{Figures, Hop, Latency, TickCounts};
 
 /// What is put out once a second.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -194,7 +194,12 @@ pub struct Circumstances {
 
 impl Report {
     /// A report over an interval, with the counts of everything so far.
-    pub fn new(latency: &Latency, interval: &Figures, total: Counts, at: Circumstances) -> Self {
+    pub fn new(
+        latency: &Latency,
+        interval: &Figures,
+        total: TickCounts,
+        at: Circumstances,
+    ) -> Self {
         let newest = latency.newest().unwrap_or_default();
         let driven = interval.counts.ticks + interval.counts.missed;
         let period = Period {

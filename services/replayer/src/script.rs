@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use config::Gains;
+use config::NamedParameters;
 use ipc_types::layout::Bytes;
 use ipc_types::{BatchHeader, DriveRequest, GainSwitch, TickHeader};
 use recorder::layout_digest;
@@ -23,8 +23,8 @@ pub struct Order {
     pub to_tick: u64,
     /// How much faster than real time; none for as fast as it goes.
     pub speed: Option<f64>,
-    /// Gains by zone instead of the recorded ones; none of them for the recorded ones.
-    pub by_zone: Vec<Gains>,
+    /// The law's parameters by zone, instead of the recorded ones; none of them for the recorded ones.
+    pub by_zone: Vec<NamedParameters>,
 }
 
 impl Order {

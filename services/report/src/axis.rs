@@ -132,9 +132,13 @@ pub(crate) fn optional(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "–".to_owned(), |value| number(value, digits))
 }
 
-/// A gain with as many digits as it needs.
-pub(crate) fn gain(value: f64) -> String {
-    let text = number(value, 4);
+/// A parameter with as many digits as it needs: at least four of those that count.
+pub(crate) fn short(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return number(value, 0);
+    }
+    let digits = (3.0 - value.abs().log10().floor()).clamp(4.0, 9.0) as usize;
+    let text = number(value, digits);
     if text.contains('e') || !text.contains('.') {
         return text;
     }
@@ -214,8 +218,9 @@ mod tests {
         assert_eq!(number(0.79550564, 4), "0.7955");
         assert_eq!(number(-0.00000001, 4), "−1.00e−8");
         assert_eq!(number(f64::NAN, 4), "–");
-        assert_eq!(gain(1.8399999999999999), "1.84");
-        assert_eq!(gain(21.0), "21");
+        assert_eq!(short(1.8399999999999999), "1.84");
+        assert_eq!((short(21.0).as_str(), short(0.0).as_str()), ("21", "0"));
+        assert_eq!((short(0.000123456).as_str(), short(-0.02).as_str()), ("0.0001235", "−0.02"));
         assert_eq!(integer(15117), "15\u{202f}117");
         assert_eq!(integer(750), "750");
     }

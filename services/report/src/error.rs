@@ -16,6 +16,9 @@ pub enum ReportError {
         /// Why it may be missing, and what to do.
         advice: &'static str,
     },
+    /// The result cannot be read, or was made by another version.
+    #[error("{0}")]
+    Result(String),
     /// A file is there, but does not hold what it should.
     #[error("{}: {problem}; the file was changed or cut off since the run, run it again", at(path, *line))]
     Malformed {
@@ -55,10 +58,17 @@ pub enum ReportError {
 impl ReportError {
     /// A file that does not hold what it should; a parser's message of several lines becomes one.
     pub(crate) fn malformed(path: &Path, line: Option<u64>, problem: impl ToString) -> Self {
-        let problem = problem.to_string();
-        let problem = problem.split_whitespace().collect::<Vec<_>>().join(" ");
-        Self::Malformed { path: path.to_owned(), line, problem }
+        Self::Malformed { path: path.to_owned(), line, problem: one_line(problem) }
     }
+
+    /// A result that was refused, in the words of whoever refused it.
+    pub(crate) fn result(problem: impl ToString) -> Self {
+        Self::Result(one_line(problem))
+    }
+}
+
+fn one_line(problem: impl ToString) -> String {
+    problem.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 fn at(path: &Path, line: Option<u64>) -> String {

@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use tracking::{Path, Pose};
 
 use crate::ReportError;
-use crate::axis::{Axis, gain};
+use crate::axis::{Axis, short};
 use crate::canvas::{DASHES, GREY, HALF, INK, Marker, NAVY, ORANGE, Stroke};
 use crate::chart::{Chart, Line, Map};
 use crate::drives::{DriveSet, Row};
@@ -153,7 +153,7 @@ fn map(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup, Re
     let mut caption = "Trajectory of the tracked point (true pose) and its reference; the markers tell where the drives ended (disc: noise-free, triangle: noisy).".to_owned();
     if !borders.is_empty() {
         let zones = config.path.zones.iter().enumerate().map(|(index, zone)| {
-            format!("{} {} from {} m", index + 1, zone.name, gain(zone.from_m))
+            format!("{} {} from {} m", index + 1, zone.name, short(zone.from_m))
         });
         caption += &format!(
             " Zones along the path: {}; over time, a dotted line tells when the vehicle entered one.",

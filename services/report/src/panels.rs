@@ -1,7 +1,7 @@
-//! Four small plots beside each other, one a gain; and intervals, one below the other.
+//! Small plots beside each other, one a parameter; and intervals, one below the other.
 
 use crate::ReportError;
-use crate::axis::{Axis, gain};
+use crate::axis::{Axis, short};
 use crate::canvas::{
     Anchor, BLUE, BOTTOM, Frame, GREY, LEFT, Legend, Marker, NAVY, Picture, Plot, RIGHT, Stroke,
     Surface, WIDE, block, picture, rule, text_width, write,
@@ -10,9 +10,9 @@ use crate::canvas::{
 /// One of the small plots.
 #[derive(Debug)]
 pub(crate) struct Panel {
-    /// Name of its gain, with the unit.
+    /// Name of its parameter, with the unit.
     pub(crate) name: String,
-    /// Value of the gain, and the height above it.
+    /// Value of the parameter, and the height above it.
     pub(crate) points: Vec<(f64, f64)>,
 }
 
@@ -25,7 +25,10 @@ pub(crate) enum Shown {
     Points,
 }
 
-/// Small plots with one common vertical axis: they can be held against each other.
+/// Plots in one row: with more of them, no name and no tick would have room.
+const MOST_IN_A_ROW: usize = 4;
+
+/// Small plots with one common vertical axis, in as many rows as they need: they can be held against each other.
 pub(crate) fn panels(
     name: &str,
     words: &str,
@@ -41,14 +44,17 @@ pub(crate) fn panels(
         Shown::Bars => Axis::from_zero(heights, 4),
         Shown::Points => Axis::around(heights, 4),
     };
-    let count = panels.len().max(1) as f64;
-    let width = (WIDE - LEFT - RIGHT - GAP * (count - 1.0)) / count;
-    picture(name, words, (WIDE, TOP + HEIGHT + BOTTOM), |surface| {
+    let rows = panels.len().div_ceil(MOST_IN_A_ROW).max(1);
+    let columns = panels.len().div_ceil(rows).max(1);
+    let width = (WIDE - LEFT - RIGHT - GAP * (columns - 1) as f64) / columns as f64;
+    let row_height = TOP + HEIGHT + BOTTOM;
+    picture(name, words, (WIDE, row_height * rows as f64), |surface| {
         for (index, panel) in panels.iter().enumerate() {
-            let left = LEFT + index as f64 * (width + GAP);
-            let frame = Frame { left, top: TOP, width, height: HEIGHT };
+            let (row, column) = (index / columns, index % columns);
+            let left = LEFT + column as f64 * (width + GAP);
+            let frame = Frame { left, top: TOP + row as f64 * row_height, width, height: HEIGHT };
             let x = places(panel, width);
-            let y_name = if index == 0 { y_name } else { "" };
+            let y_name = if column == 0 { y_name } else { "" };
             let plot = Plot::new(surface, frame, (&x, &panel.name), (&y, y_name))?;
             let points: Vec<(f64, f64)> =
                 panel.points.iter().enumerate().map(|(i, p)| (i as f64, p.1)).collect();
@@ -67,7 +73,7 @@ pub(crate) fn panels(
 /// Values side by side whatever their distance: an axis of places, with as many labels as have room.
 fn places(panel: &Panel, width: f64) -> Axis {
     let count = panel.points.len().max(1);
-    let labels: Vec<String> = panel.points.iter().map(|point| gain(point.0)).collect();
+    let labels: Vec<String> = panel.points.iter().map(|point| short(point.0)).collect();
     let widest = labels.iter().map(|label| text_width(label)).fold(10.0, f64::max) + 6.0;
     let each = (widest * count as f64 / width).ceil().max(1.0) as usize;
     let ticks = labels

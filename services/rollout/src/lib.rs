@@ -6,7 +6,7 @@
 use config::{Parameters, RunConfig};
 use controller::{Decision, DriveController, Seen};
 use simulator::{Observation, SimulatedVehicle};
-use supervisor::{Movement, Passed, Wanted, Watch};
+use supervisor::{Movement, Passed, RawCommand, Watch};
 use tracking::{DriveRecord, ZoneTracker};
 
 /// Everything that happened in one tick.
@@ -95,12 +95,12 @@ impl Rollout {
             let raw = decision.command;
             let Observation { measured: pose, speed_mps, yaw_rate_radps, .. } = observation;
             watch.see(tick, Movement { pose, speed_mps, yaw_rate_radps });
-            let wanted = Wanted {
+            let raw = RawCommand {
                 speed_mps: raw.speed_mps,
                 yaw_rate_radps: raw.yaw_rate_radps,
                 steering_rad: raw.steering_rad,
             };
-            let passed = watch.command(self.tick_s, 0, Some(wanted));
+            let passed = watch.command(self.tick_s, 0, Some(raw));
             let entered = self.zones.update(observation.measured, decision.reference_along_m);
             if entered != zone && by_zone.len() > 1 {
                 self.controller.switch_parameters(by_zone[entered]);

@@ -28,12 +28,12 @@ pub struct Car {
     /// What the car was told last, and when.
     told: Option<(Setpoint, u64)>,
     due_ns: u64,
-    counts: Counts,
+    anomalies: Anomalies,
 }
 
 /// What was not as it should be.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct Anomalies {
     /// Requests and commands that did not match.
     pub dropped: u64,
     /// Odometry and commands that were not finite.
@@ -115,7 +115,7 @@ impl Car {
             drive: None,
             told: None,
             due_ns: u64::MAX,
-            counts: Counts::default(),
+            anomalies: Anomalies::default(),
         }
     }
 
@@ -129,9 +129,9 @@ impl Car {
         }
     }
 
-    /// Counts odometry that cannot be used.
+    /// Anomalies odometry that cannot be used.
     pub fn reject(&mut self) {
-        self.counts.rejected += 1;
+        self.anomalies.rejected += 1;
     }
 
     /// Notes a collision.
@@ -185,8 +185,8 @@ impl Car {
     }
 
     /// What was not as it should be.
-    pub fn counts(&self) -> Counts {
-        self.counts
+    pub fn anomalies(&self) -> Anomalies {
+        self.anomalies
     }
 
     /// When [`Car::step`] has something to do; `u64::MAX` for never.
@@ -202,11 +202,11 @@ impl Car {
     /// Takes a request for a drive, which ends whatever was under way. Whether it is one for us.
     pub fn request(&mut self, header: BatchHeader, requests: &[DriveRequest], now_ns: u64) -> bool {
         let [request] = requests else {
-            self.counts.dropped += 1;
+            self.anomalies.dropped += 1;
             return false;
         };
         if !header.attempt.is_of(self.run) {
-            self.counts.dropped += 1;
+            self.anomalies.dropped += 1;
             return false;
         }
         let WirePose { x_m, y_m, yaw_rad } = request.start;
@@ -248,7 +248,7 @@ impl Car {
                 && drive.held.is_none_or(|held| header.tick >= held.tick)
         });
         let (Some(drive), [command]) = (matching, commands) else {
-            self.counts.dropped += 1;
+            self.anomalies.dropped += 1;
             return None;
         };
         // Late or not: what has ended does not go on.
@@ -257,11 +257,11 @@ impl Car {
             return None;
         }
         if now_ns.saturating_sub(header.supervisor_sent_ns) > self.command_age_ns {
-            self.counts.late += 1;
+            self.anomalies.late += 1;
             return None;
         }
         let setpoint = self.setpoints.of(command).unwrap_or_else(|| {
-            self.counts.rejected += 1;
+            self.anomalies.rejected += 1;
             Setpoint::default()
         });
         drive.held = Some(Held { tick: header.tick, sent_ns: header.supervisor_sent_ns, setpoint });
@@ -303,8 +303,8 @@ impl Car {
                 step.setpoint = Some(setpoint);
                 match fresh {
                     None => {
-                        self.counts.stale += 1;
-                        self.counts.late += 1;
+                        self.anomalies.stale += 1;
+                        self.anomalies.late += 1;
                     }
                     Some(reading) => {
                         step.odometry =

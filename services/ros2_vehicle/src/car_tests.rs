@@ -129,7 +129,7 @@ fn late_old_strange_and_broken_commands_move_nothing() {
     let now = T0 + 20 * TICK;
     let (late, one) = command(3, now - 101 * MS, 2.0, 0);
     assert_eq!(car.obey(late, &one, now), None);
-    assert_eq!(car.counts().late, 1);
+    assert_eq!(car.anomalies().late, 1);
     let (good, one) = command(10, now, 2.0, 0);
     assert!(car.obey(good, &one, now).is_some());
     let strange = [
@@ -142,10 +142,10 @@ fn late_old_strange_and_broken_commands_move_nothing() {
         assert_eq!(car.obey(header, &one, now), None);
     }
     assert_eq!(car.obey(good, &[one[0], one[0]], now), None);
-    assert_eq!(car.counts().dropped, 5);
+    assert_eq!(car.anomalies().dropped, 5);
     let broken = [Command { speed_mps: f64::NAN, ..one[0] }];
     assert_eq!(car.obey(good, &broken, now), Some(Setpoint::default()));
-    assert_eq!(car.counts().rejected, 1);
+    assert_eq!(car.anomalies().rejected, 1);
     let strange = Attempt { run: 8, ..batch(2).attempt };
     assert!(!car.request(
         BatchHeader { attempt: strange, ..batch(2) },
@@ -191,7 +191,7 @@ fn old_odometry_is_not_passed_on_and_repeating_it_makes_it_no_younger() {
         assert_eq!(step.odometry.is_some(), k <= 10, "{k}");
         assert!(step.setpoint.is_some());
     }
-    assert_eq!((car.counts().stale, car.counts().late), (10, 10));
+    assert_eq!((car.anomalies().stale, car.anomalies().late), (10, 10));
     assert_eq!(car.odometry_age_ns(T0 + 20 * TICK), Some(20 * TICK));
     car.see(reading(0.0, 0.0, 2), T0 + 21 * TICK);
     assert!(car.step(T0 + 21 * TICK).odometry.is_some());

@@ -2,19 +2,19 @@
 //! Ackermann messages.
 //!
 //! What needs no ROS 2 is pure and stands in [`messages`] (as they are on the wire), [`frames`] (which point, in which
-//! frame), [`stop`] (what the car is told, and how it comes to a stop), [`car`] (a drive in real time) and [`watch`]
+//! frame), [`stop`] (what the car is told, and how it comes to a stop), [`car`] (a drive in real time) and [`missing`]
 //! (what to say of what is missing). The process around them needs the feature `dds`, which brings DDS itself: no ROS
 //! needs to be installed.
 
 pub mod car;
 pub mod frames;
 pub mod messages;
+pub mod missing;
 #[cfg(feature = "dds")]
 mod ros;
 #[cfg(feature = "dds")]
 mod service;
 pub mod stop;
-pub mod watch;
 
 /// The user can mend it: one line that says how.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

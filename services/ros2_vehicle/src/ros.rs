@@ -20,8 +20,8 @@ use crate::messages::{
     AckermannDrive, AckermannDriveStamped, Bool, CarlaCollisionEvent, Header, ODOMETRY, Odometry,
     Time, collision_type, drive_type, to_drive,
 };
+use crate::missing::{Ours, Peer};
 use crate::stop::Setpoint;
-use crate::watch::{Ours, Peer};
 
 /// Commands that are kept for a reader that missed one: more of them would be history.
 const DRIVE_DEPTH: usize = 10;
@@ -130,7 +130,7 @@ impl Ros {
             while Instant::now() < until {
                 let others = writers(&participant, &settings.drive_topic).len();
                 if others > 0 {
-                    return Err(Refused(crate::watch::driven_by_others(
+                    return Err(Refused(crate::missing::driven_by_others(
                         &settings.drive_topic,
                         others,
                     )));
@@ -229,7 +229,7 @@ impl Ros {
         let reliability = self.settings.odometry_reliability;
         let ours = Ours { topic, of_type: ODOMETRY, reliability };
         let publishers = writers(&self.participant, topic);
-        crate::watch::no_odometry(ours, &publishers, self.settings.domain_id)
+        crate::missing::no_odometry(ours, &publishers, self.settings.domain_id)
     }
 
     /// What is to be said of commands that nobody hears, if so.
@@ -248,7 +248,7 @@ impl Ros {
                 reliability: reliability(data.qos().reliability()),
             })
             .collect();
-        crate::watch::nobody_hears(ours, &subscribers)
+        crate::missing::nobody_hears(ours, &subscribers)
     }
 }
 

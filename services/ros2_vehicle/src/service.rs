@@ -13,9 +13,9 @@ use serde::{Deserialize, Serialize};
 use crate::Refused;
 use crate::car::{Begun, Car};
 use crate::frames::{Alignment, Reader, Unusable};
+use crate::missing::driven_by_others;
 use crate::ros::Ros;
 use crate::stop::Setpoint;
-use crate::watch::driven_by_others;
 
 /// Commands to stop that the car gets when the process ends, and the time between them.
 const STOPS: u32 = 5;
@@ -26,7 +26,7 @@ const LOOK_NS: u64 = 5_000_000;
 const FIRST_TOLD_NS: u64 = 2_000_000_000;
 const TOLD_AGAIN_NS: u64 = 10_000_000_000;
 /// Between looks at who is there.
-const WATCH_NS: u64 = 500_000_000;
+const LOOK_AROUND_NS: u64 = 500_000_000;
 
 pub(crate) fn run() -> Result<()> {
     let (attachment, bus, config) = join()?;
@@ -50,11 +50,11 @@ struct Adapter {
     /// A drive that a process before this one had begun.
     begun_before: Option<Begun>,
     look_ns: u64,
-    watch: Watch,
+    notices: Notices,
 }
 
 /// What has been told, so that it is not told on and on.
-struct Watch {
+struct Notices {
     due_ns: u64,
     /// When it is told next that odometry, or a reader of the commands, is missing.
     odometry_ns: u64,
@@ -82,7 +82,7 @@ impl Adapter {
             batch_file,
             begun_before,
             look_ns: 0,
-            watch: Watch {
+            notices: Notices {
                 due_ns: now_ns,
                 odometry_ns: now_ns + FIRST_TOLD_NS,
                 hearers_ns: now_ns + FIRST_TOLD_NS,
@@ -104,7 +104,7 @@ impl Adapter {
                 Ok(Some(odometry)) => odometry,
                 Err(why) => {
                     self.car.reject();
-                    self.watch.say_failure("an odometry cannot be read", &why);
+                    self.notices.say_failure("an odometry cannot be read", &why);
                     continue;
                 }
             };
@@ -112,9 +112,9 @@ impl Adapter {
                 Ok(reading) => self.car.see(reading, now_ns),
                 Err(why) => {
                     self.car.reject();
-                    if self.watch.unusable.as_ref() != Some(&why) {
+                    if self.notices.unusable.as_ref() != Some(&why) {
                         tracing::warn!("{why}");
-                        self.watch.unusable = Some(why);
+                        self.notices.unusable = Some(why);
                     }
                 }
             }
@@ -127,7 +127,7 @@ impl Adapter {
 
     fn tell(&mut self, setpoint: Setpoint) {
         if let Err(why) = self.ros.tell(setpoint) {
-            self.watch.say_failure("a command could not be sent", &why);
+            self.notices.say_failure("a command could not be sent", &why);
         }
     }
 
@@ -142,7 +142,7 @@ impl Adapter {
             let joined = !self.car.is_awaited();
             let Attempt { batch, attempt, .. } = header.attempt;
             tracing::info!(batch, attempt, joined, "requested");
-            self.watch.start_ns = now_ns;
+            self.notices.start_ns = now_ns;
         }
         Ok(true)
     }
@@ -176,19 +176,19 @@ impl Adapter {
     ///
     /// # Errors
     /// If somebody else drives the car, and we have not yet.
-    fn watch(&mut self, now_ns: u64) -> Result<()> {
-        self.watch.due_ns = now_ns + WATCH_NS;
+    fn tell_what_is_missing(&mut self, now_ns: u64) -> Result<()> {
+        self.notices.due_ns = now_ns + LOOK_AROUND_NS;
         let age_ns = self.car.odometry_age_ns(now_ns);
-        if age_ns.is_some_and(|age_ns| age_ns < WATCH_NS) {
-            if !self.watch.has_odometry {
+        if age_ns.is_some_and(|age_ns| age_ns < LOOK_AROUND_NS) {
+            if !self.notices.has_odometry {
                 tracing::info!("odometry comes");
             }
-            self.watch.has_odometry = true;
+            self.notices.has_odometry = true;
             // Should it stop, that is told at once.
-            self.watch.odometry_ns = 0;
-        } else if now_ns >= self.watch.odometry_ns {
-            self.watch.has_odometry = false;
-            self.watch.odometry_ns = now_ns + TOLD_AGAIN_NS;
+            self.notices.odometry_ns = 0;
+        } else if now_ns >= self.notices.odometry_ns {
+            self.notices.has_odometry = false;
+            self.notices.odometry_ns = now_ns + TOLD_AGAIN_NS;
             let why = self.ros.no_odometry();
             match age_ns {
                 None => tracing::warn!("{why}"),
@@ -197,13 +197,13 @@ impl Adapter {
                 }
             }
         }
-        if now_ns >= self.watch.hearers_ns {
+        if now_ns >= self.notices.hearers_ns {
             let told = self.ros.nobody_hears().inspect(|why| tracing::warn!("{why}"));
-            let wait_ns = if told.is_some() { TOLD_AGAIN_NS } else { WATCH_NS };
-            self.watch.hearers_ns = now_ns + wait_ns;
+            let wait_ns = if told.is_some() { TOLD_AGAIN_NS } else { LOOK_AROUND_NS };
+            self.notices.hearers_ns = now_ns + wait_ns;
         }
         let others = self.ros.other_drivers();
-        if others > self.watch.others {
+        if others > self.notices.others {
             let why = driven_by_others(self.ros.drive_topic(), others);
             // Discovery may take longer than a start may. On the road it is too late to leave the car to them.
             if !self.car.has_driven() && self.begun_before.is_none() {
@@ -211,9 +211,9 @@ impl Adapter {
             }
             tracing::warn!("{why}");
         }
-        self.watch.others = others;
-        if self.car.is_awaited() && now_ns >= self.watch.start_ns {
-            self.watch.start_ns = now_ns + FIRST_TOLD_NS;
+        self.notices.others = others;
+        if self.car.is_awaited() && now_ns >= self.notices.start_ns {
+            self.notices.start_ns = now_ns + FIRST_TOLD_NS;
             match self.car.offset(now_ns) {
                 None => tracing::warn!("the drive waits for odometry"),
                 Some(off) => tracing::warn!(
@@ -227,7 +227,7 @@ impl Adapter {
     }
 }
 
-impl Watch {
+impl Notices {
     fn say_failure(&mut self, what: &str, why: &str) {
         self.failures += 1;
         if self.failures.is_power_of_two() {
@@ -266,22 +266,22 @@ impl Service for Adapter {
         } else if now_ns >= self.look_ns {
             self.look(now_ns);
         }
-        if now_ns >= self.watch.due_ns {
-            self.watch(now_ns)?;
+        if now_ns >= self.notices.due_ns {
+            self.tell_what_is_missing(now_ns)?;
         }
         Ok(any)
     }
 
     fn status(&self) -> Counters {
         let (batch, tick) = self.car.progress();
-        let counts = self.car.counts();
+        let anomalies = self.car.anomalies();
         let at_start = if self.car.is_at_start(now_ns()) { Status::AT_START } else { 0 };
         Counters {
             batch,
             tick,
-            dropped: counts.dropped,
-            rejected: counts.rejected,
-            late: counts.late,
+            dropped: anomalies.dropped,
+            rejected: anomalies.rejected,
+            late: anomalies.late,
             capacity: 1,
             pacing: Status::REAL_TIME | at_start,
         }

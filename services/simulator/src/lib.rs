@@ -2,8 +2,6 @@
 //!
 //! `vehicle` and `lateral` are pure; [`service`] joins it to the pipeline.
 
-#[cfg(feature = "process")]
-mod clocked;
 mod lateral;
 mod noise;
 mod road;

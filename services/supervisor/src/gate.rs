@@ -21,9 +21,9 @@ const LONGEST_S: f64 = 1.0;
 /// No command is lower than this, even where reversing is not bounded: numbers far beyond could not be reckoned with.
 const LOWEST_MPS: f64 = -1000.0;
 
-/// What the controller wants of one vehicle.
+/// What the controller wants of one vehicle, before the gate has had its say.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Wanted {
+pub struct RawCommand {
     /// Forward speed.
     pub speed_mps: f64,
     /// Yaw rate.
@@ -32,7 +32,7 @@ pub struct Wanted {
     pub steering_rad: f64,
 }
 
-impl Wanted {
+impl RawCommand {
     /// Whether it is something that a vehicle could be told.
     pub fn is_finite(self) -> bool {
         self.speed_mps.is_finite()
@@ -150,13 +150,13 @@ impl Gate {
 
     /// Passes a command `dt_s` behind the last one, changed where a limit asks for it. `allowed_mps` is what the
     /// [`SpeedGovernor`](crate::SpeedGovernor) allows.
-    pub fn pass(&mut self, dt_s: f64, allowed_mps: f64, wanted: Wanted) -> Passed {
-        if !wanted.is_finite() {
+    pub fn pass(&mut self, dt_s: f64, allowed_mps: f64, raw: RawCommand) -> Passed {
+        if !raw.is_finite() {
             let mut slower = self.slow_down(dt_s);
             slower.change.rejected = true;
             return slower;
         }
-        let Wanted { speed_mps, yaw_rate_radps, steering_rad } = wanted;
+        let RawCommand { speed_mps, yaw_rate_radps, steering_rad } = raw;
         let limited_mps =
             speed_mps.min(self.limits.speed_mps.min(allowed_mps)).max(-self.limits.reverse_mps);
         let mut passed = self.shape(dt_s, limited_mps, f64::INFINITY, steering_rad);

@@ -11,7 +11,7 @@ mod plausibility;
 pub mod service;
 mod watch;
 
-pub use gate::{Change, Gate, Passed, Wanted};
+pub use gate::{Change, Gate, Passed, RawCommand};
 pub use governor::SpeedGovernor;
 pub use guard::{Guard, State};
 pub use plausibility::{Movement, Plausibility};

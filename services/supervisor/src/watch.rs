@@ -3,7 +3,7 @@
 use config::RunConfig;
 use ipc_types::Safety;
 
-use crate::{Gate, Guard, Movement, Passed, Plausibility, SpeedGovernor, State, Wanted};
+use crate::{Gate, Guard, Movement, Passed, Plausibility, RawCommand, SpeedGovernor, State};
 
 /// The supervisor of one vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,11 +56,11 @@ impl Watch {
         self.odometry_faults
     }
 
-    /// The command of a moment that lies `dt_s` behind the last one: what is wanted, within limits, or one of the
+    /// The command of a moment that lies `dt_s` behind the last one: the raw command, within limits, or one of the
     /// supervisor's own. `faults` are those of the loop, beside what the odometry and the numbers show.
-    pub fn command(&mut self, dt_s: f64, faults: u32, wanted: Option<Wanted>) -> Passed {
-        let usable = wanted.filter(|wanted| wanted.is_finite());
-        let missing = match (wanted, usable) {
+    pub fn command(&mut self, dt_s: f64, faults: u32, raw: Option<RawCommand>) -> Passed {
+        let usable = raw.filter(|raw| raw.is_finite());
+        let missing = match (raw, usable) {
             (_, Some(_)) => 0,
             (Some(_), None) => Safety::COMMAND_INVALID,
             (None, None) => Safety::COMMAND_STALE,

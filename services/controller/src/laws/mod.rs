@@ -183,7 +183,10 @@ mod tests {
             .map(|tick| {
                 let pose = Pose { x_m: 0.01 * tick as f64, y_m: 0.1, yaw_rad: 0.02 };
                 let reference_pose = reference.advance(tick, pose);
-                law.command(&parameters, &Sight::new(config, &reference, tick, reference_pose, pose, 1.0, 0.1))
+                law.command(
+                    &parameters,
+                    &Sight::new(config, &reference, tick, reference_pose, pose, 1.0, 0.1),
+                )
             })
             .collect()
     }
@@ -196,7 +199,11 @@ mod tests {
             drive(&mut law, &config, 100);
             let mut successor = ControlLaw::new(&config);
             successor.resume(&law.state());
-            assert_eq!(drive(&mut successor, &config, 110), drive(&mut law, &config, 110), "{name}");
+            assert_eq!(
+                drive(&mut successor, &config, 110),
+                drive(&mut law, &config, 110),
+                "{name}"
+            );
             // At the start of a drive nothing is left of the last one.
             law.reset();
             let mut fresh = ControlLaw::new(&config);
@@ -210,7 +217,8 @@ mod tests {
             let config = config(name);
             let limit_rad = config.controller.steering_limit_rad;
             let mut law = ControlLaw::new(&config);
-            for state in [LawState::of(&[]), LawState::of(&[1e300; 64]), LawState::of(&[-1e300; 3])] {
+            for state in [LawState::of(&[]), LawState::of(&[1e300; 64]), LawState::of(&[-1e300; 3])]
+            {
                 law.resume(&state);
                 for command in drive(&mut law, &config, 0) {
                     assert!(command.steering_rad.abs() <= limit_rad, "{name}: {command:?}");

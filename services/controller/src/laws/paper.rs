@@ -66,7 +66,8 @@ mod tests {
         let config = config();
         let reference = Reference::new(&config);
         let pose = Pose::default();
-        let sight = Sight { error, ..Sight::new(&config, &reference, 0, pose, pose, 0.0, 0.0) };
+        let mut sight = Sight::new(&config, &reference, 0, pose, pose, 0.0, 0.0);
+        sight.error = error;
         law.command(&Parameters::of(gains), &sight)
     }
 

@@ -1,4 +1,4 @@
-//! A run as it is watched: its topics drained into the figures, and what its orchestrator tells of its processes.
+//! A run as an observer sees it: its topics drained into the figures, and what its orchestrator tells of its processes.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -19,8 +19,8 @@ use crate::report::{Circumstances, Report, Vehicle};
 /// How long a run that is only just being made may refuse.
 const BEING_MADE: Duration = Duration::from_secs(2);
 
-/// A run that is watched.
-pub(crate) struct Watch {
+/// A run that is observed.
+pub(crate) struct ObservedRun {
     // The ports go before the place on the bus that they belong to: fields are dropped in this order.
     odometry: Inlet<Odometry>,
     raw_commands: Inlet<RawCommand>,
@@ -50,7 +50,7 @@ struct ProcessState {
     restarts: u32,
 }
 
-impl Watch {
+impl ObservedRun {
     /// Joins a run as one more observer.
     pub(crate) fn attach(
         names: &RunNames,
@@ -60,7 +60,7 @@ impl Watch {
         let until_ns = now_ns() + BEING_MADE.as_nanos() as u64;
         loop {
             let error = match Self::try_attach(names, slot, budget_ns) {
-                Ok(watch) => return Ok(watch),
+                Ok(run) => return Ok(run),
                 Err(error) => error,
             };
             match error {
@@ -87,7 +87,7 @@ impl Watch {
         };
         let (odometry, raw_commands, commands, safety) = ports()?;
         let now_ns = now_ns();
-        let mut watch = Self {
+        let mut run = Self {
             odometry,
             raw_commands,
             commands,
@@ -107,8 +107,8 @@ impl Watch {
             began_ns: now_ns,
             interval_ns: now_ns,
         };
-        watch.restarts = watch.read_restarts().unwrap_or_default();
-        Ok(watch)
+        run.restarts = run.read_restarts().unwrap_or_default();
+        Ok(run)
     }
 
     /// Takes what has come.

@@ -7,13 +7,13 @@ use ipc_types::{BatchHeader, Command, Odometry, TickHeader, has};
 use runtime::clock::now_ns;
 use runtime::{Counters, Inlet, Outlet};
 
-use crate::service::Slot;
+use super::Slot;
 
 /// Ticks that are made up for at most, where the process did not run for a while: a second of the usual tick.
 const MOST_MISSED: u64 = 100;
 
 /// What real time adds to a simulator.
-pub(crate) struct Clocked {
+pub(super) struct Clocked {
     tick_ns: u64,
     command_age_limit_ns: u64,
     /// What the vehicle's own stop takes off its speed in a tick.
@@ -35,7 +35,7 @@ struct Batch {
 }
 
 impl Clocked {
-    pub(crate) fn new(config: &RunConfig, started_ns: u64) -> Self {
+    pub(super) fn new(config: &RunConfig, started_ns: u64) -> Self {
         let safety = config.vehicle.safety;
         Self {
             tick_ns: (config.drive.tick_s * 1e9) as u64,
@@ -47,7 +47,7 @@ impl Clocked {
     }
 
     /// Begins a batch now, or joins one that had begun before this process did.
-    pub(crate) fn start(&mut self, header: BatchHeader, now_ns: u64) {
+    pub(super) fn start(&mut self, header: BatchHeader, now_ns: u64) {
         let joins = header.sent_ns < self.started_ns;
         let since_ns = if joins { header.sent_ns } else { now_ns };
         let tick = now_ns.saturating_sub(since_ns).div_ceil(self.tick_ns);
@@ -55,12 +55,12 @@ impl Clocked {
     }
 
     /// When the next tick is due; never, before the first batch.
-    pub(crate) fn due_ns(&self) -> u64 {
+    pub(super) fn due_ns(&self) -> u64 {
         self.batch.as_ref().map_or(u64::MAX, |batch| batch.since_ns + batch.tick * self.tick_ns)
     }
 
     /// Takes commands as they come, and makes a tick when it is due.
-    pub(crate) fn poll(
+    pub(super) fn poll(
         &mut self,
         slots: &mut [Slot],
         commands: &Inlet<Command>,

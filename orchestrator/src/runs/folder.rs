@@ -1,0 +1,93 @@
+//! What a run's folder holds, read by those who come later.
+
+use std::fs;
+use std::path::Path;
+
+use config::{ConfigError, RunConfig};
+use config::launch::Launch;
+use outcome::OutcomeError;
+use toml::Table;
+
+use crate::words::Failure;
+
+/// The resolved configuration of a run; `origin` says whose it is in errors.
+///
+/// # Errors
+/// If an earlier version of pathtune resolved it, or it is none.
+pub fn resolved_config(origin: &str, text: &str) -> Result<RunConfig, Failure> {
+    refuse_earlier(origin, text)?;
+    Ok(RunConfig::from_resolved(text)
+        .map_err(|error| ConfigError::new(origin, error.key, error.problem))?)
+}
+
+/// Refuses the resolved configuration of an earlier version of pathtune, which knew one law only and names none.
+pub(crate) fn refuse_earlier(origin: &str, text: &str) -> Result<(), Failure> {
+    match text.parse::<Table>() {
+        // What cannot be read at all is told by whoever reads it.
+        Ok(table) if table.contains_key("maneuver") && !table.contains_key("law") => {
+            Err(Failure::User(format!(
+                "{origin}: made by an earlier version of pathtune (it names no law); use that version for it, or run \
+                 again"
+            )))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Refuses the folder of a run that an earlier version of pathtune made, by whatever it holds.
+pub(crate) fn refuse_earlier_run(folder: &Path) -> Result<(), Failure> {
+    let config = folder.join("config.toml");
+    if let Ok(text) = fs::read_to_string(&config) {
+        refuse_earlier(&config.display().to_string(), &text)?;
+    }
+    match outcome::read_result(folder) {
+        Err(error @ OutcomeError::Earlier { .. }) => Err(Failure::User(error.to_string())),
+        _ => Ok(()),
+    }
+}
+
+/// Configuration and processes of a run in `folder`, which the user named with `option`; `missing` says what is wrong
+/// where it holds none.
+pub(crate) fn of_earlier_start(
+    folder: &Path,
+    option: &str,
+    missing: &str,
+) -> Result<(RunConfig, Launch), Failure> {
+    let read = |name: &str| {
+        let path = folder.join(name);
+        let origin = format!("{option} {}", path.display());
+        fs::read_to_string(&path)
+            .map_err(|error| Failure::User(format!("{origin}: {missing}: {error}")))
+            .map(|text| (origin, text))
+    };
+    let (origin, text) = read("config.toml")?;
+    let config = resolved_config(&origin, &text)?;
+    let (origin, text) = read("launch.toml")?;
+    Ok((config, Launch::parse(&origin, &text)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_of_earlier_versions_are_refused_in_one_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+        refuse_earlier_run(folder.path()).unwrap();
+        let check = || {
+            let failure = refuse_earlier_run(folder.path()).unwrap_err();
+            assert_eq!(failure.code(), 64);
+            let said = failure.message();
+            assert!(said.contains("earlier version of pathtune") && !said.contains('\n'), "{said}");
+        };
+        write("result.json", "{ \"schema\": 1, \"kind\": \"train\" }");
+        check();
+        write("result.json", "{}");
+        write("config.toml", "maneuver = \"lane_change\"\n[controller]\nlow_pass = 1\n");
+        check();
+        let config = config::Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+        write("config.toml", &toml::to_string(&config).unwrap());
+        refuse_earlier_run(folder.path()).unwrap();
+    }
+}

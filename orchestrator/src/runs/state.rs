@@ -1,0 +1,104 @@
+//! What a living run tells of itself, in a file in its private folder: how other terminals find it.
+//!
+//! Written by the pipeline, so this file uses none of its rooms.
+
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+use outcome::ProcessFacts;
+use runtime::run::{RunNames, living_runs};
+use serde::{Deserialize, Serialize};
+
+use crate::words::Failure;
+
+/// What a living run tells of itself.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct RunState {
+    pub(crate) run: String,
+    pub(crate) pid: u32,
+    pub(crate) maneuver: String,
+    pub(crate) folder: PathBuf,
+    pub(crate) batch: u64,
+    pub(crate) attempt: u32,
+    pub(crate) tick: u64,
+    pub(crate) processes: Vec<ProcessState>,
+}
+
+/// One process of it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct ProcessState {
+    /// `down`, `starting` or `ready`.
+    pub(crate) state: String,
+    #[serde(flatten)]
+    pub(crate) facts: ProcessFacts,
+}
+
+impl RunState {
+    /// Name of the file.
+    pub(crate) const FILE: &str = "run.json";
+
+    /// Writes the file, by rename: whoever reads it reads all of it.
+    pub(crate) fn write(&self, path: &Path) -> io::Result<()> {
+        let part = path.with_extension("part");
+        fs::write(&part, serde_json::to_vec(self)?)?;
+        fs::rename(part, path)
+    }
+
+    /// The living run of the orchestrator with this process id.
+    pub(crate) fn of_orchestrator(pid: u32) -> Option<Self> {
+        Self::living().into_iter().find(|state| state.pid == pid)
+    }
+
+    /// The living runs of this user.
+    pub(crate) fn living() -> Vec<Self> {
+        living_runs().iter().filter_map(Self::read).collect()
+    }
+
+    /// The living run that a user means: by the start of its number, by its folder, or the only one there is.
+    pub(crate) fn find(run: Option<&str>) -> Result<Self, Failure> {
+        let mut runs = Self::living();
+        if let Some(word) = run {
+            let folder = fs::canonicalize(word).ok();
+            runs.retain(|state| {
+                state.run.starts_with(word) || Some(&state.folder) == folder.as_ref()
+            });
+        }
+        match (runs.len(), run) {
+            (1, _) => Ok(runs.remove(0)),
+            (0, None) => Err(Failure::User("no run is alive".to_owned())),
+            (0, Some(word)) => Err(Failure::User(format!(
+                "no living run has a number or folder {word:?}; `pathtune status` lists them"
+            ))),
+            (_, _) => Err(Failure::User(format!(
+                "several runs are meant: {}; name one",
+                runs.iter().map(|state| state.run.as_str()).collect::<Vec<_>>().join(", ")
+            ))),
+        }
+    }
+
+    fn read(names: &RunNames) -> Option<Self> {
+        serde_json::from_slice(&fs::read(names.root.join(Self::FILE)).ok()?).ok()
+    }
+}
+
+/// A living run, as observers need it.
+#[derive(Debug, Clone)]
+pub struct LivingRun {
+    /// What names it on this machine.
+    pub names: RunNames,
+    /// Its output folder.
+    pub folder: PathBuf,
+}
+
+/// The living run that a user means: by the start of its number, by its folder, or the only one there is.
+///
+/// # Errors
+/// If no run or several are meant.
+pub fn living_run(run: Option<&str>) -> Result<LivingRun, Failure> {
+    let state = RunState::find(run)?;
+    let names = living_runs()
+        .into_iter()
+        .find(|names| format!("{:016x}", names.run) == state.run)
+        .ok_or_else(|| Failure::User(format!("run {} has just ended", state.run)))?;
+    Ok(LivingRun { names, folder: state.folder })
+}
