@@ -11,7 +11,7 @@ use runtime::clock::now_ns;
 use runtime::ring::Hop;
 
 /// Of those that can fill a role, the first one usually does.
-pub const SERVICES: Services = Services(&[
+pub(crate) const SERVICES: Services = Services(&[
     Service::new("simulator", Some(Role::Vehicle), |_| Ok(simulator::service::run()?)),
     Service::new("replayer", Some(Role::Vehicle), |words| {
         // A recording that answers whatever is asked for, instead of the run's order.

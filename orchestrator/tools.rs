@@ -7,7 +7,7 @@ use orchestrator::words::{Failure, print_line};
 use orchestrator::{Services, Tools, commands};
 use replayer::reviewer::Outcome;
 
-pub const TOOLS: Tools = Tools {
+pub(crate) const TOOLS: Tools = Tools {
     report: |folder| report::write_report(folder).map_err(|why| why.to_string()),
     monitor: look,
     record,

@@ -209,7 +209,8 @@ mod tests {
     #[test]
     fn the_preset_fills_each_role_once() {
         for role in Role::ALL {
-            let text = toml::to_string(&std::collections::BTreeMap::from([("role", role)])).unwrap();
+            let text =
+                toml::to_string(&std::collections::BTreeMap::from([("role", role)])).unwrap();
             assert_eq!(text.trim(), format!("role = {:?}", role.name()));
             assert_eq!(Role::parse(role.name()), Some(*role));
         }

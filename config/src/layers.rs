@@ -114,7 +114,14 @@ impl Layers {
         let place = |span: Option<std::ops::Range<usize>>| {
             format!("{origin}:{}", span.map_or(1, |span| line_of(text, span.start)))
         };
-        walk(document.as_table(), &self.values, &self.values, "", &mut leaves, &place)?;
+        let mut table = document.as_table().clone();
+        // The objective's name alone stands for it, as in objective = "path".
+        if let Some(Value::String(name)) = values.get("objective").cloned() {
+            let span = key_place(&document, "objective").map(|start| start..start);
+            self.select(Part::Objective, &place(span), &name)?;
+            table.remove("objective");
+        }
+        walk(&table, &self.values, &self.values, "", &mut leaves, &place)?;
         for (key, origin) in leaves {
             let value = take(&mut values, &key).expect("the same document, parsed twice");
             if tuned::is_map(&self.values, &key) {
@@ -636,6 +643,7 @@ mod tests {
         check("[learning]\ntuner = 'sarsa'", &["my.toml:2", "learning.tuner", "sarsa"]);
         check("[grid]\nkv = { min = 3.0, max = 1.0 }", &["my.toml:2", "grid.kv", "reversed"]);
         check("[grid.kv]\nstep = 0.0", &["my.toml:2", "grid.kv.step"]);
+        check("objective = 'paths'", &["my.toml:1", "objective.name", "mean path"]);
         check("maneuver = 'other'", &["my.toml:1", "maneuver", "cannot be changed"]);
         check("[path]\npoints = [[0, 0], [1, 0]]", &["my.toml:2", "path.points", "pieces"]);
         check("[path]\npieces = []", &["my.toml:2", "path.pieces"]);
@@ -650,6 +658,10 @@ mod tests {
             &["my.toml:3", "vehicle.cornering_stiffness_rear_npr", "unstable from 5.4 m/s"],
         );
         check("[noise]\nposition_sd_m = nan", &["my.toml:2", "noise.position_sd_m", "NaN"]);
+        check(
+            "objective = 'weighted'\n[ranking]\nmax_ticks = 1000",
+            &["objective.settings.mse_scale", "375000 ticks", "give a scale"],
+        );
     }
 
     #[test]
@@ -657,12 +669,14 @@ mod tests {
         let mut layers = Layers::maneuver("lane_change").unwrap();
         layers.set("learning.episodes = 3").unwrap();
         layers.set("learning.tuner=q").unwrap();
+        layers.set("objective=path").unwrap();
         layers.set("grid.kv={min=0.1,max=0.1,step=1.0}").unwrap();
         assert!(message(layers.set("learning.episodes")).contains("no '='"));
         assert!(message(layers.set("nothing.here=1")).contains("unknown key"));
         let config = layers.resolve().unwrap();
         assert_eq!(config.learning.episodes, 3);
         assert_eq!(config.learning.tuner, "q");
+        assert_eq!(config.objective.name, "path");
         assert_eq!(config.grid().len(), 125);
     }
 

@@ -181,6 +181,8 @@ pub struct PaperRow {
 pub struct ObjectiveConfig {
     pub name: String,
     pub summary: String,
+    /// Its unit; empty where it has none.
+    pub unit: String,
     pub cap_wheelbases: f64,
     /// The settings of its file in `config/objectives`.
     #[serde(default)]

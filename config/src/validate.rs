@@ -6,6 +6,8 @@ use crate::{Advance, Axis, Grid, Piece, RunConfig, Scale, Vehicle, VehicleModel,
 pub(crate) const MAX_FLEET: u32 = 256;
 /// The largest grid: the exhaustive ranking visits every set.
 const MAX_GRID: usize = 100_000;
+/// The largest Q-table, in entries: bins² · 3^parameters. Some 1.2 GB a learner.
+const MAX_Q_TABLE: f64 = 1e8;
 /// The longest drive, in ticks.
 const MAX_TICKS: f64 = 1e6;
 
@@ -44,6 +46,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     path(c)?;
     presets(c)?;
     grid(c)?;
+    scales(c)?;
     learning(c)?;
     run(c)?;
     vehicle(c)
@@ -174,6 +177,29 @@ fn presets(config: &RunConfig) -> Result<(), Problem> {
     within("objective.cap_wheelbases", config.objective.cap_wheelbases, 0.0, 1000.0)
 }
 
+/// A scale of an objective that is to be its least value in the grid needs a grid that is driven.
+fn scales(config: &RunConfig) -> Result<(), Problem> {
+    let ticks = u128::from(config.ticks()) * config.grid().len() as u128;
+    if ticks <= u128::from(config.ranking.max_ticks) {
+        return Ok(());
+    }
+    let settings = &config.objective.settings;
+    for key in settings.0.keys() {
+        let Some(name) = key.strip_suffix("_scale") else { continue };
+        let weight = format!("{name}_weight");
+        let counts = !settings.0.contains_key(&weight) || settings.number(&weight) > 0.0;
+        if counts && settings.number(key) == 0.0 {
+            let problem = format!(
+                "is 0, which stands for the least value in the grid, but the grid takes {ticks} ticks and is driven \
+                 up to {} (ranking.max_ticks); give a scale, or raise ranking.max_ticks",
+                config.ranking.max_ticks
+            );
+            return Err((format!("objective.settings.{key}"), problem));
+        }
+    }
+    Ok(())
+}
+
 fn learning(config: &RunConfig) -> Result<(), Problem> {
     let l = &config.learning;
     whole("learning.episodes", l.episodes.into(), 1, 100_000)?;
@@ -182,6 +208,16 @@ fn learning(config: &RunConfig) -> Result<(), Problem> {
     within("learning.epsilon_start", l.epsilon_start, 0.0, 1.0)?;
     above("learning.epsilon_decay_share", l.epsilon_decay_share, 0.0, 1.0)?;
     whole("learning.bins", l.bins.into(), 2, 1000)?;
+    let count = config.law.count() as i32;
+    let entries = f64::from(l.bins).powi(2) * 3f64.powi(count);
+    if entries > MAX_Q_TABLE {
+        let problem = format!(
+            "is {}: with the {count} parameters of the law {} a learner's table would hold {entries:e} entries, and \
+             may hold {MAX_Q_TABLE:e}; take fewer bins, or a law with fewer parameters",
+            l.bins, config.law.name
+        );
+        return Err(("learning.bins".to_owned(), problem));
+    }
     above("learning.error_high_cross_m", l.error_high_cross_m, 0.0, 100.0)?;
     above("learning.error_high_heading_rad", l.error_high_heading_rad, 0.0, 3.2)?;
     within("learning.heading_weight", l.heading_weight, 0.0, 1000.0)?;

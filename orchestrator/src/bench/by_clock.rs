@@ -25,27 +25,27 @@ const SETTLING: Duration = Duration::from_secs(1);
 
 /// How it is driven.
 #[derive(Debug, Clone, Copy)]
-struct Subject {
+struct Condition {
     name: &'static str,
     loaded: bool,
     fifo: bool,
 }
 
-const SUBJECTS: [Subject; 4] = [
-    Subject { name: "realtime", loaded: false, fifo: false },
-    Subject { name: "realtime/loaded", loaded: true, fifo: false },
-    Subject { name: "realtime/fifo", loaded: false, fifo: true },
-    Subject { name: "realtime/fifo/loaded", loaded: true, fifo: true },
+const CONDITIONS: [Condition; 4] = [
+    Condition { name: "realtime", loaded: false, fifo: false },
+    Condition { name: "realtime/loaded", loaded: true, fifo: false },
+    Condition { name: "realtime/fifo", loaded: false, fifo: true },
+    Condition { name: "realtime/fifo/loaded", loaded: true, fifo: true },
 ];
 
 /// Measures each, prints a table.
 pub(super) fn bench(time: Duration, as_json: bool) -> Result<(), Failure> {
     let mut rows = Vec::new();
-    for subject in SUBJECTS {
+    for condition in CONDITIONS {
         if !as_json {
-            tell!("{}: {} s", subject.name, time.as_secs_f64());
+            tell!("{}: {} s", condition.name, time.as_secs_f64());
         }
-        rows.push((subject.name, measure(subject, time)?));
+        rows.push((condition.name, measure(condition, time)?));
     }
     let hop = |report: &Value, key: &str| report["hops"]["end_to_end"][key].as_u64().unwrap_or(0);
     let ticks = |report: &Value| {
@@ -93,10 +93,10 @@ pub(super) fn bench(time: Duration, as_json: bool) -> Result<(), Failure> {
 }
 
 /// The monitor's report over a drive by the clock.
-fn measure(subject: Subject, time: Duration) -> Result<Value> {
+fn measure(condition: Condition, time: Duration) -> Result<Value> {
     let folder = tempfile::tempdir()?;
-    let load = subject.loaded.then(Load::new);
-    let drive = Drive::start(subject, &folder, time)?;
+    let load = condition.loaded.then(Load::new);
+    let drive = Drive::start(condition, &folder, time)?;
     let run = drive.run()?;
     thread::sleep(SETTLING);
     let mut monitor = Killed(
@@ -119,7 +119,7 @@ fn measure(subject: Subject, time: Duration) -> Result<Value> {
 struct Drive(Child);
 
 impl Drive {
-    fn start(subject: Subject, folder: &TempDir, time: Duration) -> Result<Self> {
+    fn start(condition: Condition, folder: &TempDir, time: Duration) -> Result<Self> {
         let loop_s = time.as_secs() + 60;
         let child = Command::new("/proc/self/exe")
             .arg0("pathtune")
@@ -128,7 +128,7 @@ impl Drive {
             .args(["--set", &format!("drive.loop_time_s={loop_s}")])
             // A circle without an end.
             .args(["--set", "path.pieces=[{kind='arc',radius_m=100.0,angle_deg=3600.0}]"])
-            .args(subject.fifo.then_some("--fifo"))
+            .args(condition.fifo.then_some("--fifo"))
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::null())

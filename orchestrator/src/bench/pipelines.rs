@@ -8,9 +8,9 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use outcome::RunResult;
 use runtime::periods::FILE_VARIABLE;
 use rustix::process::{Pid, Signal, kill_process};
-use outcome::RunResult;
 use tempfile::TempDir;
 
 use super::rings::Killed;

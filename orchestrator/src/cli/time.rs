@@ -54,7 +54,9 @@ mod tests {
         check("1.5m", 90_000);
         assert_eq!(from_zero("2500us"), Ok(Duration::from_micros(2500)));
         check("0s", 0);
-        for text in ["", "1", "s", "soon", "-1s", "1 s", "1s1m", "1s1s", "1d", ".s", "1..5s", "9e99s"] {
+        for text in
+            ["", "1", "s", "soon", "-1s", "1 s", "1s1m", "1s1s", "1d", ".s", "1..5s", "9e99s"]
+        {
             assert!(from_zero(text).is_err(), "{text}");
         }
         assert!(above_zero("0s").is_err() && above_zero("0m0s").is_err());

@@ -9,8 +9,8 @@ use outcome::{Outcome, OutcomeError, RESULT_FILE, read_result};
 use serde_json::{Value, json};
 
 use crate::cli::GainsCommand;
-use crate::runs::{preflight, resolved_config};
 use crate::runs::vehicle_file::VehicleFile;
+use crate::runs::{preflight, resolved_config};
 use crate::words::Failure;
 use crate::words::tables::{digits, set_cells, table_of, trim};
 use crate::words::terminal::{say, tell};
@@ -418,11 +418,7 @@ fn describe(provenance: Option<&Provenance>) -> [String; 3] {
         (Some(rank), Some(size)) => format!("{rank} of {size}"),
         _ => "–".to_owned(),
     };
-    [
-        it.digest.chars().take(12).collect(),
-        rank,
-        it.promoted_at.clone(),
-    ]
+    [it.digest.chars().take(12).collect(), rank, it.promoted_at.clone()]
 }
 
 /// Says how the parameters of a manoeuvre changed; each as its law's name and its parameters.

@@ -109,7 +109,7 @@ fn summary(text: &str) -> String {
     let comment: Vec<&str> =
         text.lines().map_while(|line| line.strip_prefix('#')).map(str::trim).collect();
     let comment = comment.join(" ");
-    let end = comment.find([';', ':']).into_iter().chain(comment.find(". ")).min();
+    let end = ["; ", ": ", ". "].iter().filter_map(|end| comment.find(end)).min();
     comment[..end.unwrap_or(comment.len())].trim_end_matches('.').to_owned()
 }
 

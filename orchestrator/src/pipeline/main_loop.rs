@@ -21,7 +21,7 @@ use rustix::time::Timespec;
 
 use crate::pipeline::cores::Placement;
 use crate::pipeline::interrupts::Interrupts;
-use crate::pipeline::member::{Member, Refused, State};
+use crate::pipeline::member::{Member, RefusedSamples, State};
 use crate::pipeline::observers::ObserverCare;
 use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::pipeline::process::clean_up_behind;
@@ -227,7 +227,7 @@ impl<'a> Pipeline<'a> {
                 continue;
             };
             let Status { dropped, rejected, late, .. } = status;
-            member.refused = Refused { dropped, rejected, late };
+            member.refused = RefusedSamples { dropped, rejected, late };
             // Each against itself: they stand at different ticks, even when all stand still.
             if (status.batch, status.tick) != member.seen {
                 member.seen = (status.batch, status.tick);

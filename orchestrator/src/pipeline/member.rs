@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use config::launch::{ProcessEntry, Role};
 use ipc_types::Status;
+use outcome::ProcessFacts;
 use runtime::Attachment;
 use runtime::clock::now_ns;
-use outcome::ProcessFacts;
 
 use crate::pipeline::cores::Placement;
 use crate::pipeline::plan::Plan;
@@ -38,13 +38,13 @@ pub(crate) struct Member {
     /// What it has warned of, without the numbers in it.
     warned: HashSet<String>,
     /// Samples that its incarnations before this one did not take, and those of this one.
-    refused_before: Refused,
-    pub(crate) refused: Refused,
+    refused_before: RefusedSamples,
+    pub(crate) refused: RefusedSamples,
 }
 
 /// Samples that a process did not take.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(crate) struct Refused {
+pub(crate) struct RefusedSamples {
     /// They did not match run, batch, attempt and tick.
     pub(crate) dropped: u64,
     /// They were not finite or out of range.
@@ -53,7 +53,7 @@ pub(crate) struct Refused {
     pub(crate) late: u64,
 }
 
-impl Refused {
+impl RefusedSamples {
     fn and(self, other: Self) -> Self {
         Self {
             dropped: self.dropped + other.dropped,
@@ -102,8 +102,8 @@ impl Member {
             pid: 0,
             seen: (0, 0),
             warned: HashSet::new(),
-            refused_before: Refused::default(),
-            refused: Refused::default(),
+            refused_before: RefusedSamples::default(),
+            refused: RefusedSamples::default(),
         }
     }
 
@@ -139,7 +139,7 @@ impl Member {
     ) -> Result<(), Failure> {
         self.incarnation += 1;
         self.refused_before = self.all_refused();
-        self.refused = Refused::default();
+        self.refused = RefusedSamples::default();
         self.warned.clear();
         let place = self.place_in_ring();
         let attachment = Attachment {
@@ -236,12 +236,12 @@ impl Member {
     }
 
     /// Samples that no incarnation took, as far as they told.
-    fn all_refused(&self) -> Refused {
+    fn all_refused(&self) -> RefusedSamples {
         self.refused_before.and(self.refused)
     }
 
     pub(crate) fn facts(&self) -> ProcessFacts {
-        let Refused { dropped, rejected, late } = self.all_refused();
+        let RefusedSamples { dropped, rejected, late } = self.all_refused();
         ProcessFacts {
             name: self.name.to_owned(),
             pid: self.pid,

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use config::{ConfigError, RunConfig};
 use config::launch::Launch;
+use config::{ConfigError, RunConfig};
 use outcome::OutcomeError;
 use toml::Table;
 

@@ -7,8 +7,8 @@ use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, Table};
 use config::{LawConfig, NamedParameters, RunConfig};
 use outcome::{
-    Comparison, GridResult, Measures, NoiseChoice, Outcome, RankedSet, Run, RunResult, SetStanding,
-    SingleDrive, TrainResult, ValidateResult, ValidatedRow, Verdict,
+    Comparison, GridResult, MainEffect, Measures, NoiseChoice, Outcome, RankedSet, Run, RunResult,
+    SetStanding, SingleDrive, TrainResult, ValidateResult, ValidatedRow, Verdict,
 };
 
 use crate::pipeline::recovery::Recovery;
@@ -217,8 +217,11 @@ fn print_validation(it: &ValidateResult, config: &RunConfig) -> Result<(), Failu
     for row in it.rows.iter().filter(|row| !row.switches.is_empty()) {
         let switches: Vec<String> =
             row.switches.iter().map(|it| format!("{} at tick {}", it.name, it.tick)).collect();
-        let sets: Vec<String> =
-            row.gains.iter().map(|set| set.values().map(trim).collect::<Vec<_>>().join(" ")).collect();
+        let sets: Vec<String> = row
+            .gains
+            .iter()
+            .map(|set| set.values().map(trim).collect::<Vec<_>>().join(" "))
+            .collect();
         say!("gains of {} switched: {}", sets.join(" / "), switches.join(", "));
     }
     Ok(())
@@ -244,10 +247,9 @@ fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
         "paper" => ("the paper's", &named.set),
         name => (name, &named.set),
     });
-    let unnamed = |sets: &'_ [RankedSet]| -> Vec<(&str, &RankedSet)> {
-        // The borrow is the result's, which outlives this function's tables.
+    fn unnamed(sets: &[RankedSet]) -> Vec<(&str, &RankedSet)> {
         sets.iter().map(|set| ("", set)).collect()
-    };
+    }
     let by_objective = objective.map_or(String::new(), |name| format!("best by {name}"));
     let tables = [
         (&*by_objective, if objective.is_some() { unnamed(&it.best) } else { Vec::new() }),
@@ -285,25 +287,17 @@ fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
     say!("{table}\n");
 
     let mut table = table_of(&header("variance explained by", &config.law, []));
-    for (name, share) in [
-        (objective.unwrap_or_default(), 0),
-        ("distance", 1),
-        ("mse", 2),
-        ("off the path, mean", 3),
-    ] {
-        if name.is_empty() {
-            continue;
-        }
+    type Share = fn(&MainEffect) -> f64;
+    let of_value: Share = |it| it.share_value;
+    let of_objective = objective.map(|name| (name, of_value));
+    let shares: [(&str, Share); 3] = [
+        ("distance", |it| it.share_distance),
+        ("mse", |it| it.share_mse),
+        ("off the path, mean", |it| it.share_path),
+    ];
+    for (name, share) in of_objective.into_iter().chain(shares) {
         let of_parameter = |key: &str| match it.main_effects.get(key) {
-            Some(effect) => {
-                let shares = [
-                    effect.share_value,
-                    effect.share_distance,
-                    effect.share_mse,
-                    effect.share_path,
-                ];
-                format!("{:.1} %", 100.0 * shares[share])
-            }
+            Some(effect) => format!("{:.1} %", 100.0 * share(effect)),
             None => "–".to_owned(),
         };
         let mut cells = vec![name.to_owned()];
@@ -388,13 +382,15 @@ struct MeasureColumns<'a> {
 impl<'a> MeasureColumns<'a> {
     fn header(self) -> impl Iterator<Item = &'a str> {
         let rank = self.ranked.then_some("rank");
-        let judged = self.objective.into_iter().chain(["distance", "mse m²", "off the path: mean m"]);
+        let judged =
+            self.objective.into_iter().chain(["distance", "mse m²", "off the path: mean m"]);
         let judged = judged.flat_map(move |name| std::iter::once(name).chain(rank));
         judged.chain(["p95 m", "max m", "arrived"])
     }
 
     fn cells(self, it: &Measures, ranks: Ranks, size: usize) -> Vec<String> {
-        let rank = |rank: Option<usize>| rank.map_or("–".to_owned(), |it| format!("{it} of {size}"));
+        let rank =
+            |rank: Option<usize>| rank.map_or("–".to_owned(), |it| format!("{it} of {size}"));
         let mut cells = Vec::new();
         let mut judged = |value: f64, of: Option<usize>| {
             cells.push(digits(value, 4));

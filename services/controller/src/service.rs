@@ -141,15 +141,11 @@ impl Controller {
 
     fn answer(&mut self, header: TickHeader, odometry: &[Odometry]) -> Result<()> {
         let received_ns = now_ns();
-        let expected = self.driving.is_some_and(|(batch, tick)| {
-            let is_next = if self.real_time { header.tick >= tick } else { header.tick == tick };
-            header.attempt == batch.attempt && is_next
-        });
         if self.real_time && self.driving.is_none() {
             // A vehicle goes on behind the end of its drive.
             return Ok(());
         }
-        if !expected || odometry.len() != self.slots.len() {
+        if !self.expects(header) || odometry.len() != self.slots.len() {
             self.counters.dropped += 1;
             return Ok(());
         }
@@ -172,12 +168,7 @@ impl Controller {
         let written = self.raw_commands.write(odometry.len(), answer)?;
         if real_time {
             // Before the raw command: who has that has this.
-            let (tick, sent_ns) = (header.tick, now_ns());
-            let header = BatchHeader { attempt: header.attempt, sent_ns, ..BatchHeader::default() };
-            let slots = &self.slots;
-            self.law_states.send_quietly(header, slots.len(), |index| {
-                slots[index].law_state(tick, index as u32)
-            })?;
+            tell_law_states(&self.law_states, header, &self.slots)?;
         }
         written.send(|now_ns| {
             sent_ns = now_ns;
@@ -201,6 +192,14 @@ impl Controller {
             self.report()?;
         }
         Ok(())
+    }
+
+    /// Whether odometry with this header is what the batch goes on with.
+    fn expects(&self, header: TickHeader) -> bool {
+        self.driving.is_some_and(|(batch, tick)| {
+            let is_next = if self.real_time { header.tick >= tick } else { header.tick == tick };
+            header.attempt == batch.attempt && is_next
+        })
     }
 
     /// Hears zones and their parameters; whether a tick must still wait for those.
@@ -279,6 +278,15 @@ impl Controller {
         self.reports.send(header, slots.len(), |index| slots[index].report(&requested[index]))?;
         Ok(())
     }
+}
+
+/// Tells what the laws must not lose if this process is replaced.
+fn tell_law_states(law_states: &Outlet<LawState>, tick: TickHeader, slots: &[Slot]) -> Result<()> {
+    let TickHeader { attempt, tick, .. } = tick;
+    let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
+    let state = |index: usize| slots[index].law_state(tick, index as u32);
+    law_states.send_quietly(header, slots.len(), state)?;
+    Ok(())
 }
 
 impl Slot {

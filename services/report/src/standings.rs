@@ -77,14 +77,8 @@ impl<'a> Row<'a> {
 
 /// The objective's name with its unit, as axes show it.
 pub(crate) fn objective_title(config: &RunConfig) -> String {
-    let name = config.objective.name.as_str();
-    let unit = match name {
-        "distance" | "path" | "path_max" => "m",
-        "mse" => "m²",
-        "weighted" => "no unit",
-        _ => "in its own unit",
-    };
-    format!("{name} [{unit}]")
+    let unit = if config.objective.unit.is_empty() { "no unit" } else { &config.objective.unit };
+    format!("{} [{unit}]", config.objective.name)
 }
 
 /// Whether the objective is this measure itself, with nothing added for drives that do not arrive: then one column shows

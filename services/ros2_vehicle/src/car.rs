@@ -129,7 +129,7 @@ impl Car {
         }
     }
 
-    /// Anomalies odometry that cannot be used.
+    /// Counts odometry that cannot be used.
     pub fn reject(&mut self) {
         self.anomalies.rejected += 1;
     }
