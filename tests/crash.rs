@@ -143,7 +143,11 @@ fn scripted_faults_change_no_byte_and_are_told() {
     let result = sandbox.train("faulty", &with(&["--chaos", script]));
     assert_eq!(result["digest"], calm["digest"]);
     assert_eq!(result["run"]["recovery"]["injected"], 5, "{}", result["run"]["recovery"]);
-    assert!(result["run"]["recovery"]["recoveries"].as_u64().unwrap() >= 4, "{}", result["run"]["recovery"]);
+    assert!(
+        result["run"]["recovery"]["recoveries"].as_u64().unwrap() >= 4,
+        "{}",
+        result["run"]["recovery"]
+    );
     let restarts = |name: &str| {
         let processes = result["processes"].as_array().unwrap();
         processes.iter().find(|process| process["name"] == name).unwrap()["restarts"].clone()

@@ -139,7 +139,8 @@ fn a_run_is_recorded_from_its_first_tick_bit_for_bit() {
         let recording = Recording::read(&path).unwrap();
         assert_whole(&recording);
         let config = config(maneuver);
-        let ticks = compare_with_rollout(&recording, &config, &config.law.parse_sets(gains).unwrap());
+        let ticks =
+            compare_with_rollout(&recording, &config, &config.law.parse_sets(gains).unwrap());
         assert_eq!(recording.beginning["from_first_tick"], "true");
         assert_eq!(recording.beginning["maneuver"], maneuver);
         assert_eq!(recording.end.as_ref().unwrap()["digest"], result["digest"]);

@@ -119,7 +119,11 @@ fn the_circuit_switches_where_the_poses_say() {
     let again = sandbox.json("again", &["validate", "circuit", "--fleet", "7", "--chaos", faults]);
     assert_eq!(again["digest"], result["digest"]);
     assert_eq!(again["rows"], result["rows"]);
-    assert!(again["run"]["recovery"]["recoveries"].as_u64().unwrap() >= 4, "{}", again["run"]["recovery"]);
+    assert!(
+        again["run"]["recovery"]["recoveries"].as_u64().unwrap() >= 4,
+        "{}",
+        again["run"]["recovery"]
+    );
     sandbox.assert_clean();
 }
 
@@ -171,8 +175,7 @@ fn recorded_drives_equal_plain_calls_bit_for_bit() {
         for (row, paper) in rows(&result).iter().zip(&paper_rows) {
             let by_zone = config.sets_by_zone(&paper.sets);
             let mut rollout = Rollout::new(&config);
-            let mut mse =
-                |seed| rollout.drive_scheduled(&by_zone, Some(seed), |_, _| {}).mse_m2();
+            let mut mse = |seed| rollout.drive_scheduled(&by_zone, Some(seed), |_, _| {}).mse_m2();
             let (first, second) = (mse(1), mse(2));
             assert_eq!(number(&row["noisy"]["mse_m2_worst"]), first.max(second));
             assert_eq!(number(&row["noisy"]["mse_m2_mean"]), (first + second) / 2.0);

@@ -22,7 +22,11 @@ fn every_way_of_waiting_gives_the_same_bytes() {
             let result = sandbox.train(&format!("{wait}{fleet}"), &[&training[..], &more].concat());
             assert_eq!(result["run"]["waiting"], wait);
             assert_eq!(result["digest"], calm["digest"], "{more:?}");
-            assert_eq!(result["run"]["recovery"]["stalls"], 0, "{more:?}: {}", result["run"]["recovery"]);
+            assert_eq!(
+                result["run"]["recovery"]["stalls"], 0,
+                "{more:?}: {}",
+                result["run"]["recovery"]
+            );
         }
     }
     // Two that would each like a core to themselves, on whatever cores there are.

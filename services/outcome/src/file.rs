@@ -19,7 +19,9 @@ pub const OUTCOME_FILE: &str = "outcome.json";
 pub enum OutcomeError {
     #[error("{path}: {source}")]
     Io { path: PathBuf, source: io::Error },
-    #[error("{path}: made by an earlier version of pathtune; read it with that version, or run again")]
+    #[error(
+        "{path}: made by an earlier version of pathtune; read it with that version, or run again"
+    )]
     Earlier { path: PathBuf },
     #[error("{path}: {problem}")]
     Malformed { path: PathBuf, problem: String },
@@ -49,7 +51,8 @@ pub fn to_json(result: &impl Serialize) -> Vec<u8> {
 }
 
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T, OutcomeError> {
-    let text = fs::read(path).map_err(|source| OutcomeError::Io { path: path.to_owned(), source })?;
+    let text =
+        fs::read(path).map_err(|source| OutcomeError::Io { path: path.to_owned(), source })?;
     let malformed = |problem: String| OutcomeError::Malformed { path: path.to_owned(), problem };
     let value: serde_json::Value =
         serde_json::from_slice(&text).map_err(|error| malformed(error.to_string()))?;

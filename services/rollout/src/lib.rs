@@ -126,10 +126,6 @@ impl Rollout {
 /// assert!(record.mse_m2() < 2.0);
 /// # Ok::<(), config::ConfigError>(())
 /// ```
-pub fn rollout(
-    config: &RunConfig,
-    parameters: Parameters,
-    noise_seed: Option<u64>,
-) -> DriveRecord {
+pub fn rollout(config: &RunConfig, parameters: Parameters, noise_seed: Option<u64>) -> DriveRecord {
     Rollout::new(config).drive(parameters, noise_seed)
 }

@@ -6,9 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use config::{ConfigError, Parameters, RunConfig, SweepPlan};
-use outcome::{
-    Drives, Flatness, GridResult, MainEffect, Measures, NamedSet, RankedSet, ValueMean,
-};
+use outcome::{Drives, Flatness, GridResult, MainEffect, Measures, NamedSet, RankedSet, ValueMean};
 
 use crate::Ranking;
 use crate::digest::digest_of_drives;
@@ -175,9 +173,8 @@ fn main_effect(config: &RunConfig, axis: usize, measures: &[Measures]) -> MainEf
         let sets = (0..grid.len()).filter(|set| grid.position(*set).0[axis] as usize == place);
         mean(&sets.map(|set| by(&measures[set])).collect::<Vec<_>>())
     };
-    let means = |by: Measure| -> Vec<f64> {
-        (0..values.len()).map(|place| of_value(by, place)).collect()
-    };
+    let means =
+        |by: Measure| -> Vec<f64> { (0..values.len()).map(|place| of_value(by, place)).collect() };
     let share = |by: Measure, means: &[f64]| {
         let all: Vec<f64> = measures.iter().map(by).collect();
         let whole = mean(&all);

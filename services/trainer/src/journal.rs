@@ -337,7 +337,8 @@ mod tests {
         assert!(matches!(open(&path), JournalError::Foreign { .. }));
         // The first line of a journal as earlier versions wrote it.
         let earlier = r#"{"journal":1,"configuration":"d"}"#;
-        fs::write(&path, format!("{:08x} {earlier}\n", crc32fast::hash(earlier.as_bytes()))).unwrap();
+        fs::write(&path, format!("{:08x} {earlier}\n", crc32fast::hash(earlier.as_bytes())))
+            .unwrap();
         assert!(matches!(open(&path), JournalError::Earlier { .. }));
     }
 }

@@ -339,9 +339,8 @@ impl QLearner {
     /// How often each value of a parameter was driven.
     fn usage(&self, axis: usize) -> Vec<Usage> {
         let values = self.grid.axes()[axis];
-        let mut usage: Vec<Usage> = (0..values.len())
-            .map(|place| Usage { value: values.value(place), count: 0 })
-            .collect();
+        let mut usage: Vec<Usage> =
+            (0..values.len()).map(|place| Usage { value: values.value(place), count: 0 }).collect();
         for (set, visits) in self.set_visits.iter().enumerate() {
             let place = self.grid.position(set).0[axis] as usize;
             usage[place].count += u64::from(*visits);
@@ -445,7 +444,10 @@ mod tests {
         learner.terminal_sets.push(GridPosition::of(&[4, 4, 0, 0]));
         learner.lock_agreed_gains();
         assert_eq!(learner.locked[..4], [None, Some(4), None, None]);
-        assert_eq!(learner.within_locks(GridPosition::of(&[1, 1, 1, 1])), GridPosition::of(&[1, 4, 1, 1]));
+        assert_eq!(
+            learner.within_locks(GridPosition::of(&[1, 1, 1, 1])),
+            GridPosition::of(&[1, 4, 1, 1])
+        );
         for _ in 0..9 {
             learner.terminal_sets.push(GridPosition::of(&[2, 0, 0, 0]));
         }

@@ -52,8 +52,7 @@ impl Ranking {
             objective.take_grid(&drives);
         }
         let weight = config.learning.heading_weight;
-        let measures =
-            drives.iter().map(|drive| measures_of(&objective, weight, drive)).collect();
+        let measures = drives.iter().map(|drive| measures_of(&objective, weight, drive)).collect();
         Self { config: config.clone(), grid: config.grid(), objective, drives, measures }
     }
 

@@ -190,7 +190,8 @@ impl Schedule {
             };
             let by_zone = &sweeping.sweep().drive(index).by_zone;
             let entered = config.path.zones.get(zone.zone as usize);
-            let (Some(&parameters), Some(entered)) = (by_zone.get(zone.zone as usize), entered) else {
+            let (Some(&parameters), Some(entered)) = (by_zone.get(zone.zone as usize), entered)
+            else {
                 // A single set holds in all zones.
                 continue;
             };

@@ -28,7 +28,11 @@ pub(crate) struct Story {
 impl Story {
     pub(crate) fn new(folder: &Path, law: &LawConfig, heading_weight: f64) -> Result<Self> {
         let head = |names: &[&str]| -> Vec<String> {
-            names.iter().map(|name| (*name).to_owned()).chain(law.keys().map(str::to_owned)).collect()
+            names
+                .iter()
+                .map(|name| (*name).to_owned())
+                .chain(law.keys().map(str::to_owned))
+                .collect()
         };
         let episodes = ["learner", "episode", "steps", "return", "last_value", "terminated"];
         let measures = ["value", "distance", "mse_m2", "path_mean_m", "path_p95_m", "path_max_m"];

@@ -112,11 +112,8 @@ mod tests {
     fn every_drive_is_asked_for_until_it_is_reported() {
         let set = Parameters::of(&[1.0, 2.0, 3.0, 0.5]);
         let plain = PlannedDrive { by_zone: vec![set], seed: None, record: None };
-        let rich = PlannedDrive {
-            by_zone: vec![set; 3],
-            seed: Some(4),
-            record: Some("rich".to_owned()),
-        };
+        let rich =
+            PlannedDrive { by_zone: vec![set; 3], seed: Some(4), record: Some("rich".to_owned()) };
         let mut sweep = Sweep::new(5, 2, 100, vec![plain, rich]);
         let wanted = sweep.wanted(9);
         assert_eq!(wanted.iter().map(|it| it.learner).collect::<Vec<_>>(), [5, 6]);

@@ -90,7 +90,10 @@ impl Sweeping {
         let mut dropped = 0;
         for DriveOutcome { report, .. } in outcomes {
             // Asking again would bring the same report again.
-            ensure!(record_of(report).is_plausible(), "impossible numbers in a drive report: {report:?}");
+            ensure!(
+                record_of(report).is_plausible(),
+                "impossible numbers in a drive report: {report:?}"
+            );
             let Some(index) = self.sweep.index_of_own(report.learner, report.step) else {
                 dropped += 1;
                 continue;
