@@ -49,7 +49,7 @@ impl<'a> Sight<'a> {
             pose,
             speed_mps,
             yaw_rate_radps,
-            0.0,
+            reference.projection_m(pose),
         )
     }
 
