@@ -4,6 +4,7 @@
 //! parameters and settings. Whatever a law looks at it finds in [`Sight`]; what it does not ask for is not computed.
 
 mod paper;
+mod stanley;
 
 use config::{Parameters, RunConfig};
 
@@ -112,6 +113,7 @@ macro_rules! laws {
 
 laws! {
     "paper" => Paper(paper::Paper),
+    "stanley" => Stanley(stanley::Stanley),
 }
 
 /// The control law of a configuration, with its state.
