@@ -5,6 +5,7 @@
 
 mod educated_q;
 mod q;
+mod random_walk;
 
 use std::cmp::Ordering;
 use std::fmt::Debug;
@@ -130,6 +131,7 @@ macro_rules! tuners {
 tuners! {
     "educated-q" => educated_q,
     "q" => q,
+    "random-walk" => random_walk,
 }
 
 #[cfg(test)]
