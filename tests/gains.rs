@@ -78,7 +78,7 @@ fn gains_are_promoted_listed_shown_and_driven() {
     assert_eq!(result["digest"], *origin.digest);
     assert_eq!((&*origin.run, &*origin.maneuver), ("first", "lane_change"));
     assert_eq!((&*origin.vehicle, origin.noise), ("tesla_model_3", false));
-    assert_eq!(result["grid"]["rank_distance"], origin.rank_distance);
+    assert_eq!(result["grid"]["rank_distance"].as_u64(), origin.rank_distance);
     assert_eq!(result["distance"], origin.distance);
 
     let short = &origin.digest[..12];

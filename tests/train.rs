@@ -146,9 +146,17 @@ fn the_table_says_how_good_the_gains_are() {
     let sandbox = Sandbox::new();
     let output = sandbox.run(&["train", "lane_change", "--quiet"]);
     let text = String::from_utf8(output.stdout).unwrap();
-    for part in
-        ["tuned", "plain Q", "the paper's set", "/750", "on a bound", "drives asked", "digest"]
-    {
+    for part in [
+        "tuned",
+        "plain Q",
+        "random walk",
+        "the paper's set",
+        " of 750",
+        "off the path",
+        "on a bound",
+        "drives asked",
+        "digest",
+    ] {
         assert!(text.contains(part), "{part:?} is missing in\n{text}");
     }
     let lines: Vec<&str> = text.lines().rev().take(2).collect();

@@ -137,10 +137,18 @@ impl RunConfig {
         self.path.zones.iter().map(set_of).collect()
     }
 
+    /// Learners of the tuner: as many as its setting `learners` says, or else one for each learning rate.
+    pub fn learners(&self) -> usize {
+        match self.tuner.settings.0.get("learners") {
+            Some(_) => self.tuner.settings.number("learners").max(1.0) as usize,
+            None => self.run.alphas.len(),
+        }
+    }
+
     /// Vehicles of the fleet: `run.fleet`, or one a learner.
     pub fn fleet(&self) -> usize {
         match self.run.fleet {
-            0 => self.run.alphas.len(),
+            0 => self.learners(),
             fleet => fleet as usize,
         }
     }

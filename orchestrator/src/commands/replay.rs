@@ -95,7 +95,7 @@ pub fn replay(
     launch.prefer_service(Role::Vehicle, "replayer");
     launch.prefer_service(Role::Trainer, "reviewer");
     sweep_dead_runs();
-    preflight::check_shared_memory(config.fleet().max(config.run.alphas.len()))?;
+    preflight::check_shared_memory(config.fleet().max(config.learners()))?;
     let name = format!("pathtune-replay-{}", std::process::id());
     let folder = preflight::make_folder(&std::env::temp_dir().join(name))?;
     let _lock = preflight::lock_folder(&folder)?;

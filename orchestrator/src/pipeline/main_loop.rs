@@ -99,7 +99,7 @@ impl<'a> Pipeline<'a> {
         progress: &'a mut Progress,
     ) -> Result<Self, Failure> {
         let config = &plan.config;
-        let max_len = config.fleet().max(config.run.alphas.len());
+        let max_len = config.fleet().max(config.learners());
         let realtime = plan.sweep.as_ref().is_some_and(|sweep| sweep.realtime);
         let placement = Placement::new(plan.wait, config.fleet(), realtime || config.run.realtime);
         let bus = Bus::create(names, max_len)?.waiting(placement.wait);
@@ -118,7 +118,7 @@ impl<'a> Pipeline<'a> {
             }
         };
         // Each drive of a list goes by a number of its own.
-        let learners = if plan.sweep.is_some() { u32::MAX } else { config.run.alphas.len() as u32 };
+        let learners = if plan.sweep.is_some() { u32::MAX } else { config.learners() as u32 };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
         let mut sequencer = Sequencer::new(names.run, start, config.fleet(), learners);

@@ -158,7 +158,7 @@ pub(crate) fn prepare(
     let interrupted = Interrupts::new()?;
     preflight::check_commands(&launch)?;
     sweep_dead_runs();
-    preflight::check_shared_memory(config.fleet().max(config.run.alphas.len()))?;
+    preflight::check_shared_memory(config.fleet().max(config.learners()))?;
     let folder = match folder {
         Folder::Old(folder) => fs::canonicalize(folder)?,
         Folder::New(name) => preflight::make_folder(&match &args.out {

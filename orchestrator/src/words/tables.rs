@@ -30,7 +30,7 @@ pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(),
 
 fn print_training(it: &TrainResult, run: &Run, config: &RunConfig) -> Result<(), Failure> {
     let size = it.grid.map(|grid| grid.size);
-    let measures = MeasureColumns { objective: objective_column(config), ranked: size.is_some() };
+    let measures = MeasureColumns::new(config, size.is_some());
     let mut table = table_of(&header("", &config.law, measures.header()));
     let mut row = |name: &str, set: &NamedParameters, judged: &Measures, ranks: Ranks| {
         let mut cells = vec![name.to_owned()];
@@ -94,7 +94,7 @@ fn print_training(it: &TrainResult, run: &Run, config: &RunConfig) -> Result<(),
         false => format!(" ({})", beside.join(", ")),
     };
     say!(
-        "{} drives asked for{beside}, {} driven, {} again behind a crash; the grid holds {}",
+        "{} drives asked for{beside}, {} driven, {} again after a crash; the grid holds {}",
         it.drives.asked,
         it.drives.driven,
         run.drives.reissued,
@@ -160,7 +160,7 @@ fn print_validation(it: &ValidateResult, config: &RunConfig) -> Result<(), Failu
     };
     let name = |row: &ValidatedRow| if row.chosen_by_paper { "*" } else { "" }.to_owned();
 
-    let measures = MeasureColumns { objective: objective_column(config), ranked: false };
+    let measures = MeasureColumns::new(config, false);
     let last = ["along m²", "cross m²", "max cross-track error m", "at limit", "collisions"];
     let columns = measures.header().chain(beside_paper.iter().copied()).chain(last);
     let mut table = table_of(&header("noise-free", &config.law, columns));
@@ -229,7 +229,7 @@ fn print_validation(it: &ValidateResult, config: &RunConfig) -> Result<(), Failu
 
 fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
     let objective = objective_column(config);
-    let measures = MeasureColumns { objective, ranked: true };
+    let measures = MeasureColumns::new(config, true);
     let cells = |name: &str, set: &RankedSet| {
         let ranks = Ranks {
             value: Some(set.rank_value),
@@ -309,7 +309,7 @@ fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
 }
 
 fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
-    let measures = MeasureColumns { objective: objective_column(config), ranked: false };
+    let measures = MeasureColumns::new(config, false);
     let last = ["along m²", "cross m²", "max cross-track error m"];
     let mut table = table_of(&header("", &config.law, measures.header().chain(last)));
     let due = config.maneuvers_due();
@@ -367,7 +367,10 @@ fn print_how_it_went(run: &Run) -> Result<(), Failure> {
 
 /// Name of the objective, where its value is not that of another column.
 fn objective_column(config: &RunConfig) -> Option<&str> {
-    Some(&*config.objective.name).filter(|name| *name != "distance")
+    let objective = &config.objective;
+    let is_a_column = ["distance", "mse", "path", "path_max"].contains(&&*objective.name);
+    // With a cap, a drive that does not arrive has another value than its column shows.
+    (!is_a_column || objective.cap_wheelbases > 0.0).then_some(&objective.name)
 }
 
 /// Columns for the measures of a drive.
@@ -377,15 +380,22 @@ struct MeasureColumns<'a> {
     objective: Option<&'a str>,
     /// Each is followed by its rank in the grid.
     ranked: bool,
+    /// Whether drives are to arrive at the end of the path: those that end by their time are not.
+    arrival: bool,
 }
 
 impl<'a> MeasureColumns<'a> {
+    fn new(config: &'a RunConfig, ranked: bool) -> Self {
+        let arrival = config.objective.cap_wheelbases > 0.0;
+        Self { objective: objective_column(config), ranked, arrival }
+    }
+
     fn header(self) -> impl Iterator<Item = &'a str> {
         let rank = self.ranked.then_some("rank");
         let judged =
             self.objective.into_iter().chain(["distance", "mse m²", "off the path: mean m"]);
         let judged = judged.flat_map(move |name| std::iter::once(name).chain(rank));
-        judged.chain(["p95 m", "max m", "arrived"])
+        judged.chain(["p95 m", "max m"]).chain(self.arrival.then_some("arrived"))
     }
 
     fn cells(self, it: &Measures, ranks: Ranks, size: usize) -> Vec<String> {
@@ -403,7 +413,7 @@ impl<'a> MeasureColumns<'a> {
         judged(it.mse_m2, ranks.mse);
         judged(it.path_mean_m, ranks.path);
         cells.extend([digits(it.path_p95_m, 3), digits(it.path_max_m, 3)]);
-        cells.push(if it.arrived { "yes" } else { "no" }.to_owned());
+        cells.extend(self.arrival.then(|| if it.arrived { "yes" } else { "no" }.to_owned()));
         cells
     }
 }
@@ -478,7 +488,7 @@ mod tests {
     fn columns_and_cells_match_with_and_without_objective_and_ranks() {
         for objective in [None, Some("path")] {
             for ranked in [false, true] {
-                let columns = MeasureColumns { objective, ranked };
+                let columns = MeasureColumns { objective, ranked, arrival: ranked };
                 let header: Vec<&str> = columns.header().collect();
                 let measures = Measures { value: 2.0, distance: 1.0, ..Measures::default() };
                 let ranks = Ranks { value: Some(7), distance: Some(3), ..Ranks::default() };
