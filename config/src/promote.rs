@@ -161,13 +161,40 @@ fn set_of(set: &Table) -> Result<(String, Vec<(String, Value)>), String> {
 /// The gains that earlier versions wrote: those of the paper's law.
 const EARLIER_GAINS: [&str; 4] = ["kv", "kl", "ks", "ki"];
 
-/// Writes a law and its parameters, in the form of this version.
+/// Writes a law and its parameters, in the form of this version. Comments beside the parameters stay.
 fn put_set(set: &mut Table, law: &str, parameters: impl IntoIterator<Item = (String, Value)>) {
+    let mut earlier = Table::new();
     for name in EARLIER_GAINS {
-        set.remove(name);
+        if let Some((key, item)) = set.remove_entry(name) {
+            earlier.insert_formatted(&key, item);
+        }
     }
     put(set, "law", law.into());
-    put(set, "parameters", InlineTable::from_iter(parameters).into());
+    if has_comments(&earlier) && !set.contains_key("parameters") {
+        put_table(set, "parameters", earlier);
+    }
+    match set.get_mut("parameters") {
+        // A table of its own has room for comments.
+        Some(Item::Table(table)) => {
+            let parameters: Vec<(String, Value)> = parameters.into_iter().collect();
+            table.retain(|key, _| parameters.iter().any(|(name, _)| name == key));
+            for (name, value) in parameters {
+                put(table, &name, value);
+            }
+        }
+        _ => put(set, "parameters", InlineTable::from_iter(parameters).into()),
+    }
+}
+
+fn has_comments(table: &Table) -> bool {
+    let has = |text: Option<&toml_edit::RawString>| {
+        text.and_then(toml_edit::RawString::as_str).is_some_and(|text| text.contains('#'))
+    };
+    table.iter().any(|(name, item)| {
+        let key = table.key(name).map(|key| key.leaf_decor());
+        let value = item.as_value().map(|value| value.decor());
+        [key, value].into_iter().flatten().any(|it| has(it.prefix()) || has(it.suffix()))
+    })
 }
 
 fn history_of(set: &mut Table) -> Result<&mut ArrayOfTables, String> {

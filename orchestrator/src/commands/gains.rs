@@ -6,7 +6,7 @@ use std::path::Path;
 use config::promote::{self, changes, geometry_difference, large_changes, rollback_place};
 use config::{LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset};
 use outcome::{Outcome, OutcomeError, RESULT_FILE, read_result};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use crate::cli::GainsCommand;
 use crate::runs::vehicle_file::VehicleFile;
@@ -35,9 +35,9 @@ pub(crate) fn gains(command: &GainsCommand) -> Result<(), Failure> {
 fn list(file: &Path, as_json: bool) -> Result<(), Failure> {
     let vehicle = resolve(file)?;
     if as_json {
-        return print_json(
-            &json!({ "schema": 1, "vehicle": vehicle.name, "gains": vehicle.gains }),
-        );
+        let gains: Map<String, Value> =
+            vehicle.gains.iter().map(|(name, set)| (name.clone(), to_json(set))).collect();
+        return print_json(&json!({ "schema": 1, "vehicle": vehicle.name, "gains": gains }));
     }
     if vehicle.gains.is_empty() {
         say!("{}: no gains yet; `pathtune gains promote RUN {0}` brings some", file.display());
@@ -58,6 +58,23 @@ fn list(file: &Path, as_json: bool) -> Result<(), Failure> {
         say!("{table}");
     }
     Ok(())
+}
+
+/// A set for scripts: its parameters stand beside the rest, under their own names.
+fn to_json(set: &TunedGains) -> Value {
+    let mut json = json!(set);
+    flatten(&mut json);
+    if let Some(Value::Array(history)) = json.get_mut("history") {
+        history.iter_mut().for_each(flatten);
+    }
+    json
+}
+
+fn flatten(json: &mut Value) {
+    let Value::Object(set) = json else { return };
+    if let Some(Value::Object(parameters)) = set.remove("parameters") {
+        set.extend(parameters);
+    }
 }
 
 /// A table with a column for each parameter of a law, which is named in front of them if it is not the paper's.
@@ -81,7 +98,7 @@ fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
     let set = set_of(&vehicle, file, maneuver)?;
     if as_json {
         return print_json(&json!({
-            "schema": 1, "vehicle": vehicle.name, "maneuver": maneuver, "gains": set,
+            "schema": 1, "vehicle": vehicle.name, "maneuver": maneuver, "gains": to_json(set),
         }));
     }
     let law = law_of(&set.law);

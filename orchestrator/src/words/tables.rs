@@ -255,7 +255,7 @@ fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
         (&*by_objective, if objective.is_some() { unnamed(&it.best) } else { Vec::new() }),
         ("best by distance", unnamed(&it.best_by_distance)),
         ("best by mse", unnamed(&it.best_by_mse)),
-        ("best off the path", unnamed(&it.best_by_path)),
+        ("nearest the path", unnamed(&it.best_by_path)),
         ("asked for", named.collect()),
     ];
     for (title, sets) in tables.iter().filter(|(_, sets)| !sets.is_empty()) {

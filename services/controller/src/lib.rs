@@ -6,6 +6,7 @@ pub mod clock;
 mod drive;
 pub mod laws;
 #[cfg(feature = "process")]
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
 mod sight;
 

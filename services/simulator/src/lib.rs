@@ -6,6 +6,7 @@ mod lateral;
 mod noise;
 mod road;
 #[cfg(feature = "process")]
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
 mod vehicle;
 

@@ -8,6 +8,7 @@ mod governor;
 mod guard;
 mod plausibility;
 #[cfg(feature = "process")]
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
 mod watch;
 

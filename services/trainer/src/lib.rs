@@ -5,21 +5,29 @@
 //! reports of its drives, never by their order.
 
 mod digest;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod grid;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod journal;
 mod q_learner;
 mod q_learning;
 mod ranking;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod recording;
 mod result;
 mod rng;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod robust;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod schedule;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
 mod single;
 mod statistics;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod story;
 mod sweep;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod sweeping;
 mod training;
 pub mod tuners;

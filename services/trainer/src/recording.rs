@@ -54,9 +54,9 @@ pub(crate) struct Recorder {
     run: u64,
     tick_s: f64,
     requests: Inlet<DriveRequest>,
-    odometry: Side<Odometry>,
-    errors: Side<TrackingError>,
-    commands: Side<Command>,
+    odometry: JoinedTopic<Odometry>,
+    errors: JoinedTopic<TrackingError>,
+    commands: JoinedTopic<Command>,
     credits: Outlet<Credit>,
     batch: BatchHeader,
     /// The slots that are recorded, each with its learner, its step and what was recorded.
@@ -73,7 +73,7 @@ struct Recorded {
 }
 
 /// One of the topics that are joined: what was taken of it and not yet joined with the others.
-struct Side<M: Message> {
+struct JoinedTopic<M: Message> {
     inlet: Inlet<M>,
     /// A message of a batch whose request has not come yet: the two travel on different topics.
     early: Option<Received<M>>,
@@ -82,7 +82,7 @@ struct Side<M: Message> {
     next_tick: u64,
 }
 
-impl<M: Message<Header = TickHeader>> Side<M> {
+impl<M: Message<Header = TickHeader>> JoinedTopic<M> {
     fn new(bus: &Bus) -> Result<Self> {
         Ok(Self { inlet: bus.observe()?, early: None, taken: VecDeque::new(), next_tick: 0 })
     }
@@ -125,9 +125,9 @@ impl Recorder {
             run,
             tick_s,
             requests: bus.inlet()?,
-            odometry: Side::new(bus)?,
-            errors: Side::new(bus)?,
-            commands: Side::new(bus)?,
+            odometry: JoinedTopic::new(bus)?,
+            errors: JoinedTopic::new(bus)?,
+            commands: JoinedTopic::new(bus)?,
             credits: bus.outlet()?,
             batch: BatchHeader::default(),
             slots: Vec::new(),
@@ -148,7 +148,7 @@ impl Recorder {
         let mut any = self.odometry.take(*batch, slots)?;
         any |= self.errors.take(*batch, slots)?;
         any |= self.commands.take(*batch, slots)?;
-        self.join_sides();
+        self.join_topics();
         if self.ticks >= self.credited + CREDIT_EVERY {
             self.credited = self.ticks;
             let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
@@ -183,7 +183,7 @@ impl Recorder {
         );
     }
 
-    fn join_sides(&mut self) {
+    fn join_topics(&mut self) {
         let (odometry, errors, commands) =
             (&mut self.odometry.taken, &mut self.errors.taken, &mut self.commands.taken);
         let count = self.slots.len();

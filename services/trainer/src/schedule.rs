@@ -57,7 +57,7 @@ struct Schedule {
     early: Vec<(BatchHeader, Zone)>,
     /// The switches of each drive, in its last attempt.
     switches: BTreeMap<usize, Vec<Switch>>,
-    stage: Stage,
+    stage: ScheduleStage,
     counters: Counters,
 }
 
@@ -68,7 +68,7 @@ enum Subject {
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Stage {
+enum ScheduleStage {
     /// Nothing was asked for yet.
     Fresh,
     Driving,
@@ -123,13 +123,13 @@ impl Schedule {
             ),
             early: Vec::new(),
             switches: BTreeMap::new(),
-            stage: Stage::Fresh,
+            stage: ScheduleStage::Fresh,
             counters: Counters::default(),
         })
     }
 
     fn propose(&mut self) -> Result<()> {
-        self.stage = Stage::Driving;
+        self.stage = ScheduleStage::Driving;
         let progress = self.sweeping.progress();
         let header = self.sweeping.header(LearnerProgress::DRIVES);
         self.progress.send(header, 1, |_| progress)?;
@@ -248,7 +248,7 @@ impl Schedule {
             }
         };
         write_outcome(&self.folder, &decided(&self.config, outcome))?;
-        self.stage = Stage::Over;
+        self.stage = ScheduleStage::Over;
         let header = self.sweeping.header(Proposal::FINISHED);
         self.proposals.send(header, 1, |_| Proposal::default())?;
         Ok(())
@@ -257,7 +257,7 @@ impl Schedule {
 
 impl Service for Schedule {
     fn poll(&mut self) -> Result<bool> {
-        if self.stage == Stage::Fresh {
+        if self.stage == ScheduleStage::Fresh {
             self.go_on()?;
             return Ok(true);
         }
@@ -272,7 +272,7 @@ impl Service for Schedule {
             }
         }
         let Some(outcomes) = self.outcomes.receive()? else { return Ok(any) };
-        if !outcomes.header().attempt.is_of(self.run) || self.stage == Stage::Over {
+        if !outcomes.header().attempt.is_of(self.run) || self.stage == ScheduleStage::Over {
             self.counters.dropped += 1;
             return Ok(true);
         }

@@ -67,11 +67,11 @@ struct Trainer {
     /// Thousandths of the ranking that are done, and when that was told.
     ranked: Arc<AtomicU32>,
     told_ns: u64,
-    stage: Stage,
+    stage: TrainingStage,
     counters: Counters,
 }
 
-enum Stage {
+enum TrainingStage {
     /// Some steps can be answered from memory.
     Remembering,
     /// Waits for outcomes.
@@ -122,7 +122,7 @@ impl Trainer {
             synced_ns: 0,
             ranked: Arc::default(),
             told_ns: 0,
-            stage: Stage::Remembering,
+            stage: TrainingStage::Remembering,
             counters: Counters::default(),
         })
     }
@@ -159,13 +159,13 @@ impl Trainer {
         }
         self.tell_progress()?;
         if !answered {
-            self.stage = Stage::Remembering;
+            self.stage = TrainingStage::Remembering;
             return Ok(());
         }
         if self.training.is_finished() {
             return self.after_training();
         }
-        self.stage = Stage::Training;
+        self.stage = TrainingStage::Training;
         let wanted = self.training.wanted();
         let ticks = self.config.ticks();
         let flags = if self.config.noise.enabled { DriveRequest::NOISE } else { 0 };
@@ -229,20 +229,21 @@ impl Trainer {
     fn after_training(&mut self) -> Result<()> {
         self.story.flush()?;
         if !self.config.noise.enabled {
-            self.stage = Stage::Ranking(self.rank(None)?);
+            self.stage = TrainingStage::Ranking(self.rank(None)?);
             return Ok(());
         }
         let finalists = Finalists::new(&self.config, &self.training);
         // To the orchestrator each drive of a sweep is a learner of its own.
         let first = self.training.tuner().learners();
         let sweeping = Sweeping::new(&self.bus, self.place(), first, finalists.drives())?;
-        self.stage = Stage::Finalists(sweeping, finalists);
+        self.stage = TrainingStage::Finalists(sweeping, finalists);
         self.ask()
     }
 
     /// Asks for the drives of a sweep that are still wanted.
     fn ask(&mut self) -> Result<()> {
-        let (Stage::Finalists(sweeping, _) | Stage::Demonstrating(sweeping, _)) = &self.stage
+        let (TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _)) =
+            &self.stage
         else {
             return Ok(());
         };
@@ -257,22 +258,22 @@ impl Trainer {
 
     /// Goes on behind a sweep whose drives are all over. Whether it was.
     fn after_sweep(&mut self) -> Result<bool> {
-        match std::mem::replace(&mut self.stage, Stage::Over) {
-            Stage::Finalists(sweeping, finalists) => match sweeping.driven() {
+        match std::mem::replace(&mut self.stage, TrainingStage::Over) {
+            TrainingStage::Finalists(sweeping, finalists) => match sweeping.driven() {
                 Some(driven) => {
                     let records: Vec<_> = driven.iter().map(|it| it.record).collect();
                     let choice =
                         finalists.choose(&self.config, self.training.objective(), &records);
-                    self.stage = Stage::Ranking(self.rank(Some(choice))?);
+                    self.stage = TrainingStage::Ranking(self.rank(Some(choice))?);
                 }
                 None => {
-                    self.stage = Stage::Finalists(sweeping, finalists);
+                    self.stage = TrainingStage::Finalists(sweeping, finalists);
                     return Ok(false);
                 }
             },
-            Stage::Demonstrating(sweeping, mut result) => {
+            TrainingStage::Demonstrating(sweeping, mut result) => {
                 if sweeping.driven().is_none() {
-                    self.stage = Stage::Demonstrating(sweeping, result);
+                    self.stage = TrainingStage::Demonstrating(sweeping, result);
                     return Ok(false);
                 }
                 result.drives_recorded = sweeping.recorded();
@@ -315,11 +316,13 @@ impl Trainer {
 
     /// Waits for the ranking; then shows what the tuned set does, in recorded drives.
     fn after_ranking(&mut self) -> Result<bool> {
-        let Stage::Ranking(thread) = std::mem::replace(&mut self.stage, Stage::Over) else {
+        let TrainingStage::Ranking(thread) =
+            std::mem::replace(&mut self.stage, TrainingStage::Over)
+        else {
             return Ok(false);
         };
         if !thread.is_finished() {
-            self.stage = Stage::Ranking(thread);
+            self.stage = TrainingStage::Ranking(thread);
             self.tell_ranking()?;
             return Ok(false);
         }
@@ -335,7 +338,7 @@ impl Trainer {
         // Beyond the learners and all finalists.
         let first = u32::MAX / 2;
         let sweeping = Sweeping::new(&self.bus, self.place(), first, drives)?;
-        self.stage = Stage::Demonstrating(sweeping, Box::new(result));
+        self.stage = TrainingStage::Demonstrating(sweeping, Box::new(result));
         self.ask()?;
         Ok(true)
     }
@@ -378,12 +381,12 @@ fn fingerprint(config: &RunConfig) -> String {
 impl Service for Trainer {
     fn poll(&mut self) -> Result<bool> {
         match &mut self.stage {
-            Stage::Remembering => {
+            TrainingStage::Remembering => {
                 self.propose()?;
                 return Ok(true);
             }
-            Stage::Ranking(_) => return self.after_ranking(),
-            Stage::Finalists(sweeping, _) | Stage::Demonstrating(sweeping, _) => {
+            TrainingStage::Ranking(_) => return self.after_ranking(),
+            TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _) => {
                 match sweeping.poll()? {
                     Progress::None => {}
                     Progress::Recording => return Ok(true),
@@ -395,7 +398,7 @@ impl Service for Trainer {
                     }
                 }
             }
-            Stage::Training | Stage::Over => {}
+            TrainingStage::Training | TrainingStage::Over => {}
         }
         let Some(outcomes) = self.outcomes.receive()? else { return Ok(false) };
         if !outcomes.header().attempt.is_of(self.run) {
@@ -403,7 +406,7 @@ impl Service for Trainer {
             return Ok(true);
         }
         match &mut self.stage {
-            Stage::Finalists(sweeping, _) | Stage::Demonstrating(sweeping, _) => {
+            TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _) => {
                 self.counters.dropped += sweeping.learn(outcomes.items())?;
                 if !self.after_sweep()? {
                     self.ask()?;
@@ -411,7 +414,7 @@ impl Service for Trainer {
             }
             _ => self.learn(outcomes.items())?,
         }
-        if matches!(self.stage, Stage::Training) {
+        if matches!(self.stage, TrainingStage::Training) {
             self.propose()?;
         }
         Ok(true)
