@@ -60,7 +60,8 @@ fn control_law(bencher: Bencher) {
     let reference = Reference::new(&config);
     let reference_pose = Pose { x_m: 1.5, y_m: -0.1, yaw_rad: 0.3 };
     let sight = Sight::new(&config, &reference, 0, reference_pose, pose(), 1.0, 0.1);
-    bencher.bench_local(move || law.command(black_box(&parameters()), black_box(&sight)));
+    let parameters = parameters();
+    bencher.bench_local(move || law.command(black_box(&parameters), black_box(&sight)));
 }
 
 #[divan::bench]
