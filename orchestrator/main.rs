@@ -1,4 +1,4 @@
-//! The doorway: one binary that is the orchestrator, and every process that it starts.
+//! The doorway: one binary, which is the orchestrator and also every process that the orchestrator starts.
 
 use std::process::ExitCode;
 

@@ -1,4 +1,4 @@
-//! The table of our own services: whatever `pathtune service NAME` can be. A new one is a row here.
+//! The table of our own services: all that `pathtune service NAME` can run. A new service is a new row here.
 
 use std::time::Duration;
 
@@ -10,11 +10,11 @@ use orchestrator::{Service, Services, bench};
 use runtime::clock::now_ns;
 use runtime::ring::Hop;
 
-/// Of those that can fill a role, the first one usually does.
+/// The first service in the table that can fill a role is the usual one for it.
 pub(crate) const SERVICES: Services = Services(&[
     Service::new("simulator", Some(Role::Vehicle), |_| Ok(simulator::service::run()?)),
     Service::new("replayer", Some(Role::Vehicle), |words| {
-        // A recording that answers whatever is asked for, instead of the run's order.
+        // Answers from a recording whatever drive is requested, instead of following the run's order.
         Ok(replayer::vehicle::run(words.first().map(AsRef::as_ref))?)
     }),
     Service {
@@ -33,13 +33,13 @@ pub(crate) const SERVICES: Services = Services(&[
     Service::new("schedule", Some(Role::Trainer), |_| Ok(trainer::schedule::run()?)),
     Service::new("reviewer", Some(Role::Trainer), |_| Ok(replayer::reviewer::run()?)),
     Service::new("recorder", Some(Role::Recorder), |_| Ok(recorder::service::run()?)),
-    // Cleans dead nodes off the bus, and ends.
+    // Removes dead nodes from the bus, and ends.
     Service::new("cleaner", None, |_| Ok(runtime::cleanup::run_helper()?)),
     // Wakes a frozen process after some milliseconds.
     Service::new("wake", None, |words| Ok(wake(words)?)),
     // Becomes a user's program.
     Service::new("exec", None, |words| Err(exec(words).into())),
-    // One process of the benchmark's bare ring; over standard input and output; and plain calls.
+    // For the benchmark: one process of the bare ring, the same over standard input and output, and plain calls.
     Service::new("ring", None, |words| Ok(runtime::ring::run(hop(words)?)?)),
     Service::new("stream-ring", None, |words| Ok(runtime::ring::run_over_streams(hop(words)?)?)),
     Service::new("calls", None, |_| Ok(time_calls()?)),
@@ -71,8 +71,8 @@ fn hop(words: &[String]) -> anyhow::Result<Hop> {
     }
 }
 
-/// Times plain calls over the grid that the benchmark's pipelines drive, and prints nanoseconds a tick: mean, and over
-/// the drives median and 99th percentile. Like a ring, to standard error.
+/// Times plain calls over the grid that the benchmark's pipelines drive. Prints nanoseconds per tick to standard error,
+/// as a ring does: the mean, and the median and 99th percentile over the drives.
 fn time_calls() -> anyhow::Result<()> {
     let mut layers = config::Layers::maneuver(bench::MANEUVER)?;
     for setting in bench::spread(512)? {

@@ -1,4 +1,4 @@
-//! What is done beside a pipeline: looked into, recorded, replayed, drawn.
+//! Tools that are used alongside a pipeline: monitor, recorder, replay, report.
 
 use monitor::MonitorError;
 use orchestrator::cli::{MonitorArgs, RecordArgs, ReplayArgs};
@@ -14,7 +14,7 @@ pub(crate) const TOOLS: Tools = Tools {
     replay,
 };
 
-/// Looks into a living run.
+/// Watches a living run.
 fn look(args: MonitorArgs) -> Result<(), Failure> {
     let MonitorArgs { run, vehicle, json, csv, duration, once, budget, prometheus } = args;
     let LivingRun { names, folder } = living_run(run.as_deref())?;
@@ -30,7 +30,7 @@ fn look(args: MonitorArgs) -> Result<(), Failure> {
 fn record(args: &RecordArgs) -> Result<(), Failure> {
     let run = living_run(args.run.as_deref())?;
     if let Some(out) = args.out.as_deref().filter(|out| out.exists()) {
-        return Err(Failure::User(format!("--out {}: is there already", out.display())));
+        return Err(Failure::User(format!("--out {}: exists already", out.display())));
     }
     let options = recorder::attached::Options {
         names: run.names,
@@ -41,17 +41,20 @@ fn record(args: &RecordArgs) -> Result<(), Failure> {
     };
     let summary =
         recorder::attached::record(&options).map_err(|why| Failure::User(format!("{why:#}")))?;
-    // A loss is no failure: an observer may not stop a vehicle. It is never silent, though.
+    // A loss is not a failure, because an observer must not stop a vehicle; but it is always reported.
     if let Some(gaps) = summary.gaps() {
         eprintln!("pathtune: the recording has gaps: {gaps}");
     }
     if !summary.behind.is_zero() {
-        eprintln!("pathtune: could not keep up for {:.1} s", summary.behind.as_secs_f64());
+        eprintln!(
+            "pathtune: the recorder could not keep up for {:.1} s",
+            summary.behind.as_secs_f64()
+        );
     }
     print_line(&summary.file.display().to_string())
 }
 
-/// Replays a recording; whether nothing differed.
+/// Replays a recording; returns whether nothing differed.
 fn replay(args: &ReplayArgs, services: Services) -> Result<bool, Failure> {
     let user = |why: String| Failure::User(why);
     let recorded = replayer::check(&args.file).map_err(|why| user(format!("{why:#}")))?;
@@ -77,7 +80,7 @@ fn replay(args: &ReplayArgs, services: Services) -> Result<bool, Failure> {
         file: std::fs::canonicalize(&args.file)?,
         by_zone,
         from_tick: tick_of(args.from),
-        // A file holds numbers of 63 bits.
+        // A TOML file holds integers of at most 63 bits.
         to_tick: args.to.map_or(i64::MAX as u64, tick_of),
         speed: if args.realtime { Some(1.0) } else { args.speed },
     };

@@ -124,7 +124,11 @@ fn a_large_change_is_refused_then_forced_and_rolled_back() {
     fs::write(sandbox.path("car.toml"), &by_hand).unwrap();
     let parts = ["car.toml", "gains.lane_change", "kv from 0.1 to", "%", "--force"];
     refused(&sandbox, &["promote", "first", "car.toml"], &parts);
-    refused(&sandbox, &["rollback", "car.toml"], &["lane_change", "nothing stood there before"]);
+    refused(
+        &sandbox,
+        &["rollback", "car.toml"],
+        &["lane_change", "there were no gains before these"],
+    );
     let forced = gains(&sandbox, &["promote", "first", "car.toml", "--force"]);
     assert!(forced.contains("kv 0.1 ->"), "{forced}");
     let first = car(&sandbox).gains["lane_change"].clone();
@@ -141,7 +145,7 @@ fn a_large_change_is_refused_then_forced_and_rolled_back() {
     assert!(text.contains(table), "{text}");
     let set = car(&sandbox).gains["lane_change"].clone();
     assert_eq!((set.provenance, set.history.len()), (None, 1));
-    refused(&sandbox, &["rollback", "car.toml"], &["--to N brings back"]);
+    refused(&sandbox, &["rollback", "car.toml"], &["--to N restores"]);
     refused(&sandbox, &["rollback", "car.toml", "--to", "2"], &["--to 2", "history holds 1"]);
     refused(&sandbox, &["rollback", "car.toml", "roundabout"], &["roundabout", "lane_change"]);
     gains(&sandbox, &["rollback", "car.toml", "lane_change", "--to", "1"]);
@@ -165,11 +169,11 @@ fn what_is_no_finished_training_is_refused() {
     promote("living", &["living", "a living run trains in this folder"]);
     training.interrupt();
     training.finish();
-    promote("living", &["living", "is no finished training", "--resume living"]);
+    promote("living", &["living", "is not a finished training", "--resume living"]);
     fs::copy(sandbox.path("first/result.json"), sandbox.path("living/result.json")).unwrap();
     promote("living", &["living", "result.json does not belong to the journal"]);
     fs::remove_file(sandbox.path("first/journal")).unwrap();
-    promote("first", &["first", "is no finished training", "journal"]);
+    promote("first", &["first", "is not a finished training", "journal"]);
     sandbox.assert_clean();
 }
 
@@ -179,7 +183,7 @@ fn what_is_no_file_of_the_users_is_refused() {
     let promote = |car: &str, parts: &[&str]| refused(&sandbox, &["promote", "first", car], parts);
     promote("tesla_model_3", &["is a preset", "pathtune config init"]);
     promote("none.toml", &["none.toml", "no such file", "pathtune config init"]);
-    promote(".", &["no vehicle's file"]);
+    promote(".", &["is not a vehicle's file"]);
     refused(&sandbox, &["list", "f1tenth"], &["is a preset", "vehicles/f1tenth.toml"]);
 
     // Another car than the training's.

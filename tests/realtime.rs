@@ -179,7 +179,7 @@ fn a_stopped_vehicle_stands_until_it_is_rearmed_and_then_starts_where_it_is() {
     drive.interrupt();
     let output = drive.finish();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(said.contains("is being stopped: no answer of the controller"), "{said}");
+    assert!(said.contains("is being stopped: no answer from the controller"), "{said}");
     sandbox.assert_clean();
 }
 

@@ -129,7 +129,7 @@ fn a_split_recording_is_replayed_from_its_first_file() {
         assert_eq!(code, Some(64), "{out}{err}");
         assert!(err.contains(why) && err.trim_end().lines().count() == 1, "{err}");
     };
-    refused(part(2), "is part 2 of a recording, behind recording-0001.mcap; name the first one");
+    refused(part(2), "is part 2 of a recording, after recording-0001.mcap; name the first one");
     fs::copy(sandbox.path(&part(3)), sandbox.path(&part(2))).unwrap();
     refused(part(1), "recording-0002.mcap is not part 2");
     fs::remove_file(sandbox.path(&part(2))).unwrap();
@@ -155,7 +155,7 @@ fn what_cannot_be_compared_is_refused() {
     for (file, more, part) in [
         (old.display().to_string(), &[][..], "was made by an earlier version of pathtune; "),
         (cut.display().to_string(), &[], "cut off"),
-        (text.display().to_string(), &[], "no recording"),
+        (text.display().to_string(), &[], "not a recording"),
         (sandbox.path("none.mcap").display().to_string(), &[], "failed to read"),
         (file.clone(), &["--gains", "3,21,21"], "holds 3 numbers"),
         (file.clone(), &["--set", "drive.colour=1"], "no such key"),

@@ -150,6 +150,9 @@ fn what_configuration_and_seed_decide_is_the_same_bytes_in_every_run() {
     };
     let first = outcome("first", &[]);
     assert_eq!(outcome("again", &["--fleet", "2"]), first);
+    // Alone, the recorded drives come in batches of their own; and without memory all are driven.
+    assert_eq!(outcome("alone", &["--fleet", "1"]), first);
+    assert_eq!(outcome("forgetful", &["--no-memo"]), first);
     assert_eq!(outcome("killed", &["--chaos", "kill trainer@drive=5"]), first);
     assert_ne!(outcome("seed", &["--seed", "2"]), first);
     // And it is that part of the result.

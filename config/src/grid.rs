@@ -17,7 +17,7 @@ pub struct Axis {
     pub min: f64,
     /// Last value, up to rounding.
     pub max: f64,
-    /// Difference of neighbouring values; on a log scale their ratio.
+    /// Difference between neighbouring values; on a log scale, their ratio.
     pub step: f64,
 }
 
@@ -29,7 +29,7 @@ pub struct GridAxis {
 }
 
 impl Default for GridAxis {
-    /// The one value 0: what a parameter has that the law does not have.
+    /// The single value 0, for places beyond the law's parameters.
     fn default() -> Self {
         Self { axis: Axis { min: 0.0, max: 0.0, step: 1.0 }, scale: Scale::Linear }
     }
@@ -57,7 +57,7 @@ impl GridAxis {
         false
     }
 
-    /// The value at `index`; the last one is `max` itself where the steps meet it up to rounding.
+    /// The value at `index`; the last one is `max` itself if the steps reach it up to rounding.
     pub fn value(&self, index: usize) -> f64 {
         let Axis { min, max, step } = self.axis;
         let (value, apart) = match self.scale {

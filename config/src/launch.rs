@@ -1,6 +1,6 @@
 //! The launch file: which processes make up a pipeline. One `[[process]]` each.
 //!
-//! Which services of ours there are is not known here: they stand in one table beside the doorway,
+//! The list of our own services is not known here: it is in one table next to the doorway,
 //! `orchestrator/services.rs`.
 
 use serde::{Deserialize, Serialize};
@@ -41,7 +41,7 @@ roles! {
     Controller "controller" false,
     /// Proposes parameters, learns from reports.
     Trainer "trainer" false,
-    /// Writes down whatever is said.
+    /// Records all messages.
     Recorder "recorder" true,
 }
 
@@ -58,25 +58,26 @@ impl Role {
 pub struct ProcessEntry {
     /// The part it plays.
     pub role: Role,
-    /// A program of the user's in that role; our own service where absent.
+    /// A program of the user's in that role; if absent, our own service.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub command: Option<String>,
-    /// Our own service in that role, where it is not the usual one.
+    /// Our own service in that role, if it is not the usual one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub service: Option<String>,
     /// Whether the same request always gives the same drive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deterministic: Option<bool>,
-    /// Restarts that it gets in ten seconds, where that differs from the others.
+    /// Restarts that it is allowed in ten seconds, if that differs from the other processes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub restart_budget: Option<u32>,
-    /// Size at which the recorder goes on in another file; only of our recorder.
+    /// Size at which the recorder continues in another file; only for our recorder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub split_bytes: Option<u64>,
 }
 
 impl ProcessEntry {
-    /// Whether the same request gives the same drive: ours do, a user's program only if it says so.
+    /// Whether the same request gives the same drive: for our services it does, for a user's program only if its entry
+    /// says so.
     pub fn is_deterministic(&self) -> bool {
         self.deterministic.unwrap_or(self.command.is_none())
     }
@@ -110,16 +111,19 @@ impl Launch {
         for role in Role::ALL {
             let times = launch.process.iter().filter(|entry| entry.role == *role).count();
             if times != 1 && !(times == 0 && role.is_optional()) {
-                let problem = format!("the role {} is filled {times} times, not once", role.name());
+                let problem = format!(
+                    "the role {} is filled {times} times, but must be filled once",
+                    role.name()
+                );
                 return Err(ConfigError::new(origin, "process", problem));
             }
         }
         Ok(launch)
     }
 
-    /// Adds our recorder, where there is none yet; `split_bytes` bounds the size of its files.
+    /// Adds our recorder, if there is none yet; `split_bytes` limits the size of its files.
     ///
-    /// It starts first, and so stops last: it hears everything, from the first sign of life to the outcome.
+    /// It starts first, and so stops last: it receives everything, from the first sign of life to the outcome.
     pub fn record(&mut self, split_bytes: Option<u64>) {
         let of_recorder = |entry: &&mut ProcessEntry| entry.role == Role::Recorder;
         if let Some(entry) = self.process.iter_mut().find(of_recorder) {
@@ -142,7 +146,7 @@ impl Launch {
         self.process.iter().any(|entry| entry.role == Role::Recorder)
     }
 
-    /// Puts another service of ours in a role, where no command fills it and no service is named.
+    /// Puts another service of ours in a role, if no command fills it and no service is named.
     pub fn prefer_service(&mut self, role: Role, service: &str) {
         for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
             if entry.command.is_none() && entry.service.is_none() {
@@ -151,8 +155,8 @@ impl Launch {
         }
     }
 
-    /// Puts another service of ours in a role, whatever fills it; says whether the same request always gives the same
-    /// drive with it.
+    /// Puts another service of ours in a role, whatever fills it now; `deterministic` says whether the same request
+    /// always gives the same drive with it.
     pub fn fill(&mut self, role: Role, service: &str, deterministic: bool) {
         for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
             entry.command = None;

@@ -1,5 +1,5 @@
-//! What the configuration says of a control law: its parameters, in order, and its settings. The code of a law lies in
-//! `services/controller/src/laws`; a file of `config/laws` says everything else.
+//! What the configuration says about a control law: its parameters, in order, and its settings. The code of a law is in
+//! `services/controller/src/laws`; everything else is in a file of `config/laws`.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,12 +11,12 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::Axis;
 use crate::validate::{Problem, above, within};
 
-/// The most parameters that a law can have.
+/// The largest number of parameters of a law.
 pub const MAX_PARAMETERS: usize = 16;
 
-/// The parameters of a law: one value each, in the order of [`LawConfig::parameters`], those beyond the law's own 0.
+/// The parameters of a law: one value each, in the order of [`LawConfig::parameters`]; unused ones are 0.
 ///
-/// Only the law knows their names; [`LawConfig::named`] tells them.
+/// Only the law knows their names; [`LawConfig::named`] adds them.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Parameters(pub [f64; MAX_PARAMETERS]);
 
@@ -37,9 +37,9 @@ impl Parameters {
     }
 }
 
-/// Parameters with their names: how they stand in TOML and JSON, as in `{ kv = 3.0, kl = 21.0 }`.
+/// Parameters with their names, as written in TOML and JSON: `{ kv = 3.0, kl = 21.0 }`.
 ///
-/// Those that [`LawConfig::named`] makes are in the law's order. A file may have any order, which means nothing.
+/// Those that [`LawConfig::named`] makes are in the law's order. In a file, the order has no meaning.
 #[derive(Debug, Clone, Default)]
 pub struct NamedParameters(pub Vec<(String, f64)>);
 
@@ -107,7 +107,7 @@ impl<'de> Deserialize<'de> for NamedParameters {
     }
 }
 
-/// A control law, as the configuration tells of it.
+/// A control law, as the configuration describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LawConfig {
@@ -117,9 +117,12 @@ pub struct LawConfig {
     pub summary: String,
     /// What is tuned, in the law's order.
     pub parameters: Vec<ParameterConfig>,
-    /// The law's own settings, which nobody tunes.
+    /// The law's own settings, which are not tuned.
     #[serde(default)]
     pub settings: Settings,
+    /// The words that a setting may be, by its key; for settings that are words.
+    #[serde(default)]
+    pub choices: BTreeMap<String, Vec<String>>,
 }
 
 /// One parameter of a law.
@@ -130,7 +133,7 @@ pub struct ParameterConfig {
     pub key: String,
     /// Its name in tables and equations.
     pub symbol: String,
-    /// Its unit; empty where it has none.
+    /// Its unit; empty if it has none.
     pub unit: String,
     /// The least value that can be driven.
     pub min: f64,
@@ -138,7 +141,7 @@ pub struct ParameterConfig {
     pub max: f64,
     /// How a tuner moves along it.
     pub scale: Scale,
-    /// The value of a drive that names no other.
+    /// The value for a drive that does not name another.
     pub default: f64,
     /// Its values in the grid, unless the manoeuvre or the user gives others.
     pub grid: Axis,
@@ -163,7 +166,7 @@ impl Settings {
     /// A number.
     ///
     /// # Panics
-    /// If the file of the law, tuner or objective has no such number: its code and its file belong together.
+    /// If the file of the law, tuner or objective has no such number: its code and its file must match.
     pub fn number(&self, key: &str) -> f64 {
         match self.0.get(key) {
             Some(toml::Value::Float(number)) => *number,
@@ -203,7 +206,7 @@ impl LawConfig {
         self.symbols().collect::<Vec<_>>().join(",")
     }
 
-    /// The law's own values of some parameters, in order.
+    /// The values that belong to this law's parameters, in order.
     pub fn values<'a>(&self, parameters: &'a Parameters) -> &'a [f64] {
         &parameters.0[..self.count()]
     }
@@ -217,7 +220,7 @@ impl LawConfig {
     /// The parameters that a table names, in the law's order.
     ///
     /// # Errors
-    /// If one is missing, unknown or out of its bounds: its name, and what is wrong.
+    /// If one is missing, unknown or out of its bounds; the error is its name, and what is wrong.
     pub fn parameters_of(&self, named: &NamedParameters) -> Result<Parameters, Problem> {
         let mut all = Parameters::default();
         for (place, key) in self.keys().enumerate() {
@@ -237,7 +240,7 @@ impl LawConfig {
     /// Whether these parameters can be driven.
     ///
     /// # Errors
-    /// If one is not finite or out of its bounds: its name, and what is wrong.
+    /// If one is not finite or out of its bounds; the error is its name, and what is wrong.
     pub fn check(&self, parameters: &Parameters) -> Result<(), Problem> {
         for (parameter, value) in self.parameters.iter().zip(parameters.0) {
             within(&parameter.key, value, parameter.min, parameter.max)?;
@@ -253,7 +256,8 @@ impl LawConfig {
     /// Parses sets from numbers in the law's order: `Kv,Kl,Ks,Ki`, with a slash before each further set.
     ///
     /// # Errors
-    /// If a set has not as many numbers as the law has parameters, or one of them cannot be driven; says which.
+    /// If a set does not have as many numbers as the law has parameters, or one of them cannot be driven; the error
+    /// says which.
     pub fn parse_sets(&self, text: &str) -> Result<Vec<Parameters>, String> {
         text.split('/').map(|set| self.parse_set(set)).collect()
     }
@@ -262,7 +266,7 @@ impl LawConfig {
         let numbers: Vec<&str> = set.split(',').map(str::trim).collect();
         if numbers.len() != self.count() {
             let (held, list) = (numbers.len(), self.symbol_list());
-            return Err(format!("{set:?} holds {held} numbers, and must hold {list}"));
+            return Err(format!("{set:?} holds {held} numbers, but must hold {list}"));
         }
         let mut parameters = Parameters::default();
         for (value, number) in parameters.0.iter_mut().zip(numbers) {
@@ -282,20 +286,27 @@ impl LawConfig {
 pub(crate) fn validate(law: &LawConfig) -> Result<(), Problem> {
     let count = law.count();
     if !(1..=MAX_PARAMETERS).contains(&count) {
-        let problem = format!("holds {count} parameters, and must hold 1 to {MAX_PARAMETERS}");
+        let problem = format!("holds {count} parameters, but must hold 1 to {MAX_PARAMETERS}");
         return Err(("law.parameters".to_owned(), problem));
     }
-    // Code reads parameters by their place: a file may change what is said of them, never which there are.
+    // Code reads parameters by their place: a file may change their data, but never which parameters there are.
     if let Some(preset) = preset(&law.name)
         && !law.keys().eq(preset.keys())
     {
         let keys: Vec<&str> = preset.keys().collect();
         let problem = format!(
-            "must be {}, in this order: that is what the law {} reads",
+            "must be {}, in this order: these are the parameters of the law {}",
             keys.join(", "),
             law.name
         );
         return Err(("law.parameters".to_owned(), problem));
+    }
+    for (name, choices) in &law.choices {
+        let word = law.settings.0.get(name).and_then(toml::Value::as_str).unwrap_or_default();
+        if !choices.iter().any(|choice| choice == word) {
+            let problem = format!("is {word:?}, and must be one of {}", choices.join(", "));
+            return Err((format!("law.settings.{name}"), problem));
+        }
     }
     for (index, it) in law.parameters.iter().enumerate() {
         let key = format!("law.parameters[{index}]");
@@ -315,7 +326,7 @@ pub fn preset(name: &str) -> Option<LawConfig> {
     Some(toml::from_str(preset.text).expect("the presets are checked by a test"))
 }
 
-/// The paper's law: what gains of earlier versions, and the rows of the paper's tables, belong to.
+/// The paper's law, to which the gains of earlier versions and the rows of the paper's tables belong.
 pub fn paper_law() -> LawConfig {
     preset("paper").expect("embedded")
 }
@@ -344,7 +355,7 @@ mod tests {
             assert!(error.contains(part), "{text}: {error}");
         };
         check("", "1 numbers");
-        check("3,21,21", "3 numbers, and must hold Kv,Kl,Ks,Ki");
+        check("3,21,21", "3 numbers, but must hold Kv,Kl,Ks,Ki");
         check("3,21,21,x", "\"x\" is not a number");
         check("3,21,21,nan", "ki is NaN");
         check("3,21,21,1.5", "[0, 1]");

@@ -1,4 +1,4 @@
-//! Layers of a configuration, stacked, each value with the place it came from.
+//! Layers of a configuration in a stack, each value with the place where it was set.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,11 +9,11 @@ use toml_edit::TableLike;
 use crate::presets::{hint, maneuver_names, names_in, nearest, preset};
 use crate::{ConfigError, RunConfig, Vehicle, tuned, validate};
 
-/// A stack of layers, the topmost value of each key with its origin.
+/// A stack of layers: the topmost value of each key, with its origin.
 #[derive(Debug, Clone)]
 pub struct Layers {
     values: Table,
-    /// Where a key was last set, by its dotted path; presets where absent.
+    /// Where a key was last set, by its dotted path; if absent, in the presets.
     origins: BTreeMap<String, String>,
     base: String,
     /// The manoeuvre's own grids, by the name of the law.
@@ -42,7 +42,7 @@ impl Part {
         }
     }
 
-    /// The folder of its presets, and the key below which their values stand.
+    /// The folder of its presets, and the key below which their values are.
     fn place(self) -> (&'static str, &'static str) {
         match self {
             Self::Vehicle => ("vehicles", "vehicle"),
@@ -86,20 +86,20 @@ impl Layers {
         Ok(layers)
     }
 
-    /// Lays a user's document on top. `origin` names it in errors, usually its path.
+    /// Puts a user's document on top. `origin` names it in errors; usually it is its path.
     ///
     /// # Errors
-    /// At the first key that no preset has, value of another type, or syntax error, with its line.
+    /// At the first key that no preset has, value of another type, or syntax error; the error has its line.
     pub fn add_document(&mut self, origin: &str, text: &str) -> Result<(), ConfigError> {
         let document = toml_edit::Document::parse(text).map_err(|error| {
             let line = error.span().map_or(1, |span| line_of(text, span.start));
             ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
         })?;
         let mut values = parse_table(origin, text)?;
-        // A vehicle's or a law's own file has none of these keys, and must not name another.
+        // The own file of a vehicle or a law has none of these keys, and must not name another file.
         for part in Part::ALL {
             let named = find(&values, part.selected_by());
-            // A resolved configuration holds the law itself, whatever file it once came from.
+            // A resolved configuration contains the law itself, whichever file it came from.
             let named = named
                 .and(if part == Part::Law { find(&values, "law.name") } else { None })
                 .or(named);
@@ -115,11 +115,19 @@ impl Layers {
             format!("{origin}:{}", span.map_or(1, |span| line_of(text, span.start)))
         };
         let mut table = document.as_table().clone();
-        // The objective's name alone stands for it, as in objective = "path".
+        // The objective may be given by its name alone, as in objective = "path".
         if let Some(Value::String(name)) = values.get("objective").cloned() {
             let span = key_place(&document, "objective").map(|start| start..start);
             self.select(Part::Objective, &place(span), &name)?;
             table.remove("objective");
+        }
+        // A manoeuvre's file may hold grids of several laws; the present law's counts.
+        if let (Some(Value::Table(grids)), true) =
+            (values.get("grids").cloned(), self.values.contains_key("law"))
+        {
+            merge(&mut self.grids, grids);
+            self.load_grid();
+            table.remove("grids");
         }
         walk(&table, &self.values, &self.values, "", &mut leaves, &place)?;
         for (key, origin) in leaves {
@@ -148,13 +156,13 @@ impl Layers {
         let (key, text) = (key.trim(), text.trim());
         let value = match parse_table(&origin, &format!("value = {text}")) {
             Ok(mut table) if table.len() == 1 => table.remove("value").expect("just written"),
-            // A bare word or a path needs no quotes; anything else is meant as TOML.
+            // A bare word or a path needs no quotes; everything else is TOML.
             Err(error) if text.contains(['[', ']', '{', '}', '"', '\'', '=']) => {
                 return Err(ConfigError::new(origin, key, error.problem));
             }
             _ => Value::String(text.to_owned()),
         };
-        // The objective's name alone stands for it, as in objective=path.
+        // The objective may be given by its name alone, as in objective=path.
         let key = if key == "objective" && value.is_str() { "objective.name" } else { key };
         if let (Some(part), Value::String(name)) =
             (Part::ALL.into_iter().find(|it| it.selected_by() == key), &value)
@@ -184,7 +192,7 @@ impl Layers {
     /// Takes the vehicle from a preset or a file, on behalf of a command line option named `origin`.
     ///
     /// # Errors
-    /// If it is neither, or the file holds what a vehicle has not.
+    /// If it is neither, or the file has a key that a vehicle does not have.
     pub fn set_vehicle(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
         self.select(Part::Vehicle, origin, name)
     }
@@ -193,7 +201,7 @@ impl Layers {
     /// that law's.
     ///
     /// # Errors
-    /// If it is neither, or the file holds what a law has not.
+    /// If it is neither, or the file has a key that a law does not have.
     pub fn set_law(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
         self.select(Part::Law, origin, name)
     }
@@ -226,9 +234,9 @@ impl Layers {
     pub fn resolve(self) -> Result<RunConfig, ConfigError> {
         let Self { values, origins, base, .. } = self;
         let origin_of = |key: &str| {
-            // The key itself, else a part of it, else what it is a part of.
+            // The origin of the key itself, or of a part of it, or of a key that contains it.
             if key.starts_with("vehicle.gains") {
-                // Files of earlier versions hold the parameters without a table of their own.
+                // Files of earlier versions have the parameters without a separate table.
                 let flat = key.replace(".parameters.", ".");
                 if let Some(origin) = origins.get(key).or_else(|| origins.get(&flat)) {
                     return origin.clone();
@@ -259,7 +267,7 @@ impl Layers {
         Ok(config)
     }
 
-    /// What a vehicle's own file comes to, on top of the default vehicle.
+    /// The vehicle that results from a file on top of the default vehicle.
     ///
     /// # Errors
     /// As [`Layers::set_vehicle`] and [`Layers::resolve`].
@@ -269,7 +277,7 @@ impl Layers {
         Ok(layers.resolve()?.vehicle)
     }
 
-    /// The value of a key, where it is a number.
+    /// The value of a key, if it is a number.
     pub(crate) fn number(&self, key: &str) -> Option<f64> {
         let (head, rest) = key.split_once('.')?;
         match self.values.get(head)?.get(rest)? {
@@ -279,13 +287,13 @@ impl Layers {
         }
     }
 
-    /// Remembers where a part of a value, such as `path.points[3]`, came from.
+    /// Notes where a part of a value, such as `path.points[3]`, was set.
     pub(crate) fn note_origin(&mut self, part: String, origin: String) {
         self.origins.insert(part, origin);
     }
 
-    /// The text at a key.
-    fn text(&self, key: &str) -> Option<String> {
+    /// The value of a key, if it is a text.
+    pub fn text(&self, key: &str) -> Option<String> {
         find(&self.values, key)?.as_str().map(str::to_owned)
     }
 
@@ -302,7 +310,7 @@ impl Layers {
                     return Err(ConfigError::new(origin, part.selected_by(), problem));
                 };
                 let mut values = parse_table(preset.path, preset.text)?;
-                // Settings of another tuner or objective mean nothing to this one.
+                // Settings of another tuner or objective have no meaning for this one.
                 values.entry("settings").or_insert_with(|| Value::Table(Table::new()));
                 let table = self.values.entry(below).or_insert_with(|| Value::Table(Table::new()));
                 if let Value::Table(table) = table {
@@ -352,7 +360,7 @@ impl Layers {
         Ok(())
     }
 
-    /// The grid of the law: each parameter's own axis, and the manoeuvre's where it has one for this law.
+    /// Loads the grid of the law: the manoeuvre's axes if it has any for this law, otherwise each parameter's own axis.
     fn load_grid(&mut self) {
         let law = &self.values["law"];
         let parameters = law.get("parameters").and_then(Value::as_array).into_iter().flatten();
@@ -372,7 +380,7 @@ impl Layers {
         self.forget_origins("grid");
     }
 
-    /// Lays a user's file of a part on top of the preset below it.
+    /// Puts a user's file for a part on top of the preset below it.
     fn load_file(
         &mut self,
         part: Part,
@@ -381,7 +389,7 @@ impl Layers {
         text: &str,
     ) -> Result<(), ConfigError> {
         let (_, key) = part.place();
-        // The file's keys stand below the part's, so that they are checked like any other layer's.
+        // The file's keys are put below the part's key, so that they are checked like those of any other layer.
         let mut below = Self {
             values: preset,
             origins: BTreeMap::new(),
@@ -397,7 +405,7 @@ impl Layers {
         Ok(())
     }
 
-    /// Forgets where the values at and below a key came from: they are gone.
+    /// Forgets where the values at and below a key were set, because they are gone.
     fn forget_origins(&mut self, key: &str) {
         let below = format!("{key}.");
         self.origins.retain(|set, _| set != key && !set.starts_with(&below));
@@ -414,7 +422,7 @@ impl Layers {
             return Err(ConfigError::new(origin, key, problem));
         }
         *slot = value;
-        // The parts of the old value are gone, and so is where they came from.
+        // The parts of the old value are gone, so forget where they were set.
         let part = format!("{key}[");
         self.origins.retain(|set, _| !set.starts_with(&part));
         self.origins.insert(key.to_owned(), origin);
@@ -440,7 +448,7 @@ fn read_part(part: Part, name: &str, origin: &str) -> Result<String, ConfigError
     })
 }
 
-/// Where a dotted key stands in a document, in bytes.
+/// The place of a dotted key in a document, in bytes.
 fn key_place(document: &toml_edit::Document<impl AsRef<str>>, key: &str) -> Option<usize> {
     let mut table: &dyn TableLike = document.as_table();
     let mut names = key.split('.').peekable();
@@ -468,7 +476,7 @@ fn merge(below: &mut Table, above: Table) {
     }
 }
 
-/// Collects the leaves of a user's table with their origins, checking that each stands in `known` too.
+/// Collects the leaves of a user's table with their origins, and checks that `known` has each of them, too.
 fn walk(
     table: &dyn TableLike,
     root: &Table,
@@ -516,7 +524,7 @@ fn take(table: &mut Table, key: &str) -> Option<Value> {
     }
 }
 
-/// Every dotted key of a table, leaves only.
+/// Collects every dotted key of a table that is a leaf.
 fn keys(table: &Table, above: &str, all: &mut Vec<String>) {
     for (name, value) in table {
         let key = if above.is_empty() { name.clone() } else { format!("{above}.{name}") };
@@ -549,7 +557,7 @@ fn check_kind(old: &Value, new: &Value, key: &str, origin: &str) -> Result<(), C
     if fits {
         return Ok(());
     }
-    let problem = format!("must be {}, and is {}", with_article(old), with_article(new));
+    let problem = format!("must be {}, but is {}", with_article(old), with_article(new));
     Err(ConfigError::new(origin, key, problem))
 }
 
@@ -678,6 +686,19 @@ mod tests {
         assert_eq!(config.learning.tuner, "q");
         assert_eq!(config.objective.name, "path");
         assert_eq!(config.grid().len(), 125);
+    }
+
+    #[test]
+    fn a_manoeuvre_s_own_file_is_a_layer_that_changes_nothing() {
+        for name in maneuver_names() {
+            let file = preset(&format!("maneuvers/{name}.toml")).unwrap();
+            let mut layers = Layers::maneuver(name).unwrap();
+            layers.add_document("mine.toml", file.text).unwrap();
+            assert_eq!(
+                layers.resolve().unwrap(),
+                Layers::maneuver(name).unwrap().resolve().unwrap()
+            );
+        }
     }
 
     #[test]

@@ -1,10 +1,10 @@
-//! What a run is made of: the TOML presets in this folder, their schema, and clear errors for whoever
-//! edits them.
+//! The configuration of a run: the TOML presets in this folder, their schema, and clear errors for users who
+//! edit them.
 //!
 //! A run's configuration is a stack of layers, each a TOML document with the same keys: `readings.toml`,
 //! the manoeuvre, the vehicle (under `vehicle.`), a user's file, single keys. [`Layers`] stacks them and
-//! remembers where each value came from; [`Layers::resolve`] parses the result once into a [`RunConfig`],
-//! which is valid by construction: behind it nothing checks again.
+//! remembers where each value was set; [`Layers::resolve`] parses the result once into a [`RunConfig`],
+//! which is valid by construction: nothing needs to check it again.
 //!
 //! SI units and radians throughout; the suffix of a key is its unit.
 

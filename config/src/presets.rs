@@ -26,7 +26,7 @@ pub fn names_in(folder: &str) -> impl Iterator<Item = &'static str> {
     })
 }
 
-/// Name of the manoeuvre below a path of the user's own. It is of no use without one, so nobody is offered it.
+/// Name of the manoeuvre below a path of the user's own. It is of no use without such a path, so it is not listed.
 pub(crate) const OWN_PATH: &str = "path";
 
 /// Names of the manoeuvres that can be trained.
@@ -34,7 +34,7 @@ pub fn maneuver_names() -> impl Iterator<Item = &'static str> {
     names_in("maneuvers").filter(|name| *name != OWN_PATH)
 }
 
-/// The candidate that looks most like `word`, where one does at all.
+/// The candidate that is most like `word`, if any is similar.
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()
@@ -44,7 +44,7 @@ pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) ->
         .map(|(_, candidate)| candidate)
 }
 
-/// What to say to somebody who wrote `word` where one of `names` was meant.
+/// The advice for a user who wrote `word` instead of one of `names`.
 pub(crate) fn hint(word: &str, names: &[&str]) -> String {
     match nearest(word, names.iter().copied()) {
         Some(near) => format!("did you mean {near}?"),

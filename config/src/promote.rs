@@ -1,6 +1,6 @@
-//! Promotion of tuned gains into a vehicle's file, and back: from text to text, no files.
+//! Promotion of tuned gains into a vehicle's file, and rollback: from text to text, without files.
 //!
-//! Whatever else stands in the text stays as it is, comments and order included.
+//! Everything else in the text stays as it is, including comments and order.
 
 use std::collections::BTreeMap;
 
@@ -8,10 +8,10 @@ use toml_edit::{ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value};
 
 use crate::{NamedParameters, Provenance, Replacement, TunedGains, Vehicle};
 
-/// Sets that a manoeuvre's history holds at most; the oldest go.
+/// The largest number of sets in a manoeuvre's history; the oldest are removed.
 pub const HISTORY_LIMIT: usize = 20;
 
-/// A parameter may change by this share of its present value; for more the user has to insist.
+/// A parameter may change by this share of its present value; a larger change needs `--force`.
 pub const CHANGE_LIMIT: f64 = 0.3;
 
 /// A parameter that would change by more than [`CHANGE_LIMIT`].
@@ -32,7 +32,7 @@ impl Change {
     }
 }
 
-/// How each parameter changes, in the order of the new ones; those that only one side has are left out.
+/// How each parameter changes, in the order of the new ones; parameters that only one side has are left out.
 pub fn changes(old: &NamedParameters, new: &NamedParameters) -> Vec<Change> {
     let change = |(name, new): &(String, f64)| {
         Some(Change { name: name.clone(), old: old.get(name)?, new: *new })
@@ -42,13 +42,13 @@ pub fn changes(old: &NamedParameters, new: &NamedParameters) -> Vec<Change> {
 
 /// The parameters that change by more than [`CHANGE_LIMIT`].
 pub fn large_changes(old: &NamedParameters, new: &NamedParameters) -> Vec<Change> {
-    // 1.3 / 1 lies some bits above 1.3: a change by exactly the limit passes.
+    // 1.3 / 1 may be some bits above 1.3: a change by exactly the limit must pass.
     let limit = 100.0 * CHANGE_LIMIT + 1e-9;
     changes(old, new).into_iter().filter(|change| change.percent().abs() > limit).collect()
 }
 
 /// The first key of the geometry in which two vehicles differ, with both values. Gains that were tuned with another
-/// geometry are another car's.
+/// geometry are those of another car.
 pub fn geometry_difference(a: &Vehicle, b: &Vehicle) -> Option<(&'static str, String, String)> {
     if a.model != b.model {
         return Some(("model", format!("{:?}", a.model), format!("{:?}", b.model)));
@@ -64,8 +64,8 @@ pub fn geometry_difference(a: &Vehicle, b: &Vehicle) -> Option<(&'static str, St
     .map(|(key, a, b)| (key, a.to_string(), b.to_string()))
 }
 
-/// The place in the history that a rollback goes to: the `nth` newest, or without a number the newest that was
-/// replaced by a promotion, so that one rollback after the other goes further back.
+/// The place in the history that a rollback restores: the `nth` newest, or without a number the newest that was
+/// replaced by a promotion, so that repeated rollbacks go further and further back.
 pub fn rollback_place(set: &TunedGains, nth: Option<usize>) -> Option<usize> {
     match nth {
         Some(nth) => set.history.len().checked_sub(nth).filter(|_| nth > 0),
@@ -73,10 +73,11 @@ pub fn rollback_place(set: &TunedGains, nth: Option<usize>) -> Option<usize> {
     }
 }
 
-/// Writes a law's parameters and their provenance below `gains.MANEUVER`. What stood there goes onto the history.
+/// Writes a law's parameters and their provenance below `gains.MANEUVER`. The gains that were there go onto the
+/// history.
 ///
 /// # Errors
-/// If the text is no TOML, or what stands there are no gains.
+/// If the text is not TOML, or what is there are not gains.
 pub fn promote(
     text: &str,
     maneuver: &str,
@@ -97,10 +98,10 @@ pub fn promote(
     })
 }
 
-/// Brings back the gains at `place` of the history, with their provenance. What stood there goes onto the history.
+/// Restores the gains at `place` of the history, with their provenance. The gains that were there go onto the history.
 ///
 /// # Errors
-/// If the text is no TOML, or there is no such place.
+/// If the text is not TOML, or there is no such place.
 pub fn rollback(text: &str, maneuver: &str, place: usize, at: &str) -> Result<String, String> {
     edit(text, maneuver, |set| {
         let history = history_of(set)?;
@@ -128,7 +129,7 @@ fn retire(set: &mut Table, at: &str, by: Replacement) -> Result<(), String> {
     past.insert("replaced_at", toml_edit::value(at));
     past.insert("replaced_by", toml_edit::value(by.name()));
     if let Some(origin) = set.get("provenance") {
-        let origin = origin.clone().into_table().map_err(|_| "provenance: is no table")?;
+        let origin = origin.clone().into_table().map_err(|_| "provenance: is not a table")?;
         put_table(&mut past, "provenance", origin);
     }
     let history = history_of(set)?;
@@ -139,8 +140,8 @@ fn retire(set: &mut Table, at: &str, by: Replacement) -> Result<(), String> {
     Ok(())
 }
 
-/// The law and the parameters that a table holds, as they are written there, also in the form of earlier versions: four
-/// gains without a table of their own.
+/// The law and the parameters that a table holds, as they are written there. Also reads the form of earlier versions:
+/// four gains without a separate table.
 fn set_of(set: &Table) -> Result<(String, Vec<(String, Value)>), String> {
     let value = |name: &str, item: Option<&Item>| {
         let value = item.and_then(Item::as_value).ok_or_else(|| format!("has no {name}"))?;
@@ -153,7 +154,7 @@ fn set_of(set: &Table) -> Result<(String, Vec<(String, Value)>), String> {
         return Ok(("paper".to_owned(), gains.collect::<Result<_, String>>()?));
     };
     let law = set.get("law").and_then(Item::as_str).ok_or("has no law")?;
-    let parameters = parameters.as_table_like().ok_or("parameters: is no table")?;
+    let parameters = parameters.as_table_like().ok_or("parameters: is not a table")?;
     let named = parameters.iter().map(|(name, item)| value(name, Some(item)));
     Ok((law.to_owned(), named.collect::<Result<_, String>>()?))
 }
@@ -161,7 +162,7 @@ fn set_of(set: &Table) -> Result<(String, Vec<(String, Value)>), String> {
 /// The gains that earlier versions wrote: those of the paper's law.
 const EARLIER_GAINS: [&str; 4] = ["kv", "kl", "ks", "ki"];
 
-/// Writes a law and its parameters, in the form of this version. Comments beside the parameters stay.
+/// Writes a law and its parameters, in the form of this version. Comments next to the parameters stay.
 fn put_set(set: &mut Table, law: &str, parameters: impl IntoIterator<Item = (String, Value)>) {
     let mut earlier = Table::new();
     for name in EARLIER_GAINS {
@@ -201,20 +202,20 @@ fn history_of(set: &mut Table) -> Result<&mut ArrayOfTables, String> {
     let history = set.entry("history").or_insert_with(|| ArrayOfTables::new().into());
     if !history.is_array_of_tables() {
         let tables = std::mem::take(history).into_array_of_tables();
-        *history = tables.map_err(|_| "history: is no list of tables")?.into();
+        *history = tables.map_err(|_| "history: is not a list of tables")?.into();
     }
     Ok(history.as_array_of_tables_mut().expect("just made"))
 }
 
-/// Puts a value where another one stands, whose comment stays.
+/// Replaces a value, and keeps the comment of the old one.
 fn put(set: &mut Table, name: &str, mut value: Value) {
     let old = set.get(name).and_then(Item::as_value);
     *value.decor_mut() = old.map(|old| old.decor().clone()).unwrap_or_default();
     set.insert(name, Item::Value(value));
 }
 
-/// Puts a table where another one stands; one from elsewhere brings its place in that document along, which is not
-/// to be its place here.
+/// Replaces a table. A table from elsewhere contains its place in that document, which must not become
+/// its place here.
 fn put_table(set: &mut Table, name: &str, mut table: Table) {
     let old = set.get(name).and_then(Item::as_table);
     table.set_position(old.and_then(Table::position));
@@ -224,7 +225,7 @@ fn put_table(set: &mut Table, name: &str, mut table: Table) {
     set.insert(name, Item::Table(table));
 }
 
-/// Changes the table `gains.MANEUVER`, and checks that it holds gains behind that, and that nothing else changed.
+/// Changes the table `gains.MANEUVER`, and checks that it holds gains afterwards, and that nothing else has changed.
 fn edit(
     text: &str,
     maneuver: &str,
@@ -236,7 +237,7 @@ fn edit(
     let gains = table_below(document.as_table_mut(), "gains", true)?;
     let set = table_below(gains, maneuver, false)?;
     if is_new {
-        // At the very end: what is said behind the last key goes before it.
+        // Put at the very end: a comment after the last key stays before it.
         set.set_position(Some(isize::MAX));
         set.decor_mut().set_prefix(format!("{last_comment}\n"));
     }
@@ -251,18 +252,16 @@ fn edit(
     if text.contains("\r\n") {
         new = new.replace("\r\n", "\n").replace('\n', "\r\n");
     }
-    // The file decides how a car drives: look at what was made of it before it is used.
+    // The file determines how a car drives: check the result before it is used.
     let (before, after) = (rest_of(text, maneuver)?, rest_of(&new, maneuver)?);
     if before.0 != after.0 || after.1.is_none() {
-        return Err(
-            "cannot be edited without a change to its other keys; write [gains.…] as tables"
-                .to_owned(),
-        );
+        return Err("cannot be edited without changing its other keys; write [gains.…] as tables"
+            .to_owned());
     }
     Ok(new)
 }
 
-/// Everything but the set of a manoeuvre, and that set.
+/// Splits a file into everything except the set of a manoeuvre, and that set.
 fn rest_of(text: &str, maneuver: &str) -> Result<(toml::Table, Option<TunedGains>), String> {
     let mut rest: toml::Table = text.parse().map_err(|error| format!("{error}"))?;
     let gains = rest.remove("gains").unwrap_or(toml::Table::new().into());
@@ -276,7 +275,7 @@ fn rest_of(text: &str, maneuver: &str) -> Result<(toml::Table, Option<TunedGains
     Ok((rest, set))
 }
 
-/// The table `name`, as one with a header of its own, whatever way it is written.
+/// The table `name`, turned into one with its own header, in whichever way it is written.
 fn table_below<'a>(
     above: &'a mut Table,
     name: &str,
@@ -289,13 +288,13 @@ fn table_below<'a>(
     });
     let was_table = item.is_table();
     let table = std::mem::take(item).into_table();
-    let mut table = table.map_err(|_| format!("{name}: is no table"))?;
+    let mut table = table.map_err(|_| format!("{name}: is not a table"))?;
     if !was_table || table.is_dotted() {
         table.set_dotted(false);
         table.set_implicit(implicit);
     }
     if !was_table && let Some(mut key) = above.key_mut(name) {
-        // A key's own blanks have no place in a header.
+        // The blanks around a key do not belong in a header.
         key.leaf_decor_mut().clear();
     }
     above.insert(name, Item::Table(table));
@@ -395,7 +394,7 @@ mod tests {
         let written = "parameters = { kv = 3.00, kl = 2_1, ks = 2.1e1, ki = 0.70 }";
         assert!(twice.starts_with(FILE) && twice.contains(written), "{twice}");
         assert_eq!(set_of(&twice).provenance, None);
-        // What was given up is remembered, but one does not fall back to it.
+        // A set that was rolled back stays in the history, but is not the default of a rollback.
         assert_eq!(back(&twice), None);
         let set = set_of(&twice);
         assert_eq!(set.history.len(), 2);

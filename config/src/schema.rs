@@ -1,4 +1,4 @@
-//! The resolved configuration of a run. Every key is documented beside its value in the presets; the
+//! The resolved configuration of a run. Every key is documented next to its value in the presets; the
 //! comments here say what the presets cannot.
 
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::law::{LawConfig, NamedParameters, Parameters, Settings, paper_law};
 use crate::{Axes, ConfigError, Grid, validate};
 
-/// Everything that decides what a run computes.
+/// Everything that determines what a run computes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunConfig {
@@ -18,7 +18,7 @@ pub struct RunConfig {
     pub vehicle_preset: String,
     /// The rows of the paper's table for this manoeuvre; empty for a path that the paper does not have.
     pub paper: Vec<PaperSet>,
-    /// The path to be driven.
+    /// The path to drive.
     pub path: PathConfig,
     /// How the reference pose advances.
     pub reference: Reference,
@@ -36,11 +36,11 @@ pub struct RunConfig {
     pub noise: Noise,
     /// The road's edges, and what leaving it costs.
     pub collision: Collision,
-    /// What a drive is judged by.
+    /// The objective by which a drive is judged.
     pub objective: ObjectiveConfig,
     /// The values of the grid along each of the law's parameters; see [`RunConfig::grid`].
     pub grid: Axes,
-    /// Where a set is ranked among all of the grid.
+    /// When a set is ranked among all sets of the grid.
     pub ranking: Ranking,
     /// The tuner.
     pub tuner: TunerConfig,
@@ -48,17 +48,17 @@ pub struct RunConfig {
     pub learning: Learning,
     /// How a set is chosen under noise.
     pub robust: Robust,
-    /// What differs from run to run.
+    /// The keys that differ from run to run.
     pub run: Run,
     /// The vehicle.
     pub vehicle: Vehicle,
 }
 
 impl RunConfig {
-    /// Parses what the orchestrator resolved and wrote for the processes of a run.
+    /// Parses the configuration that the orchestrator resolved and wrote for the processes of a run.
     ///
     /// # Errors
-    /// If the text is not a whole and valid configuration.
+    /// If the text is not a complete and valid configuration.
     pub fn from_resolved(text: &str) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text)
             .map_err(|error| ConfigError::new("config.toml", "", error.message().to_owned()))?;
@@ -77,8 +77,8 @@ impl RunConfig {
         Grid::new(&self.law, &self.grid)
     }
 
-    /// The paper's rows that this path can be driven with: with a set for each manoeuvre of its zones, or one for
-    /// all. None with another law than the paper's.
+    /// The paper's rows with which this path can be driven: those with a set for each manoeuvre of its zones, or one
+    /// for all. Empty with a law other than the paper's.
     pub fn paper_rows(&self) -> Vec<PaperRow> {
         let paper = paper_law();
         if !self.law.keys().eq(paper.keys()) || self.law.name != paper.name {
@@ -99,7 +99,7 @@ impl RunConfig {
         .collect()
     }
 
-    /// The set that the paper chose for this manoeuvre, where it chose a single one.
+    /// The set that the paper chose for this manoeuvre, if it chose a single one.
     pub fn paper_set(&self) -> Option<Parameters> {
         match self.paper_rows().into_iter().find(|row| row.chosen)?.sets[..] {
             [set] => Some(set),
@@ -112,7 +112,7 @@ impl RunConfig {
         self.maneuver == crate::presets::OWN_PATH
     }
 
-    /// Names of the manoeuvres that the path asks for, each once, in the order in which they come first.
+    /// Names of the manoeuvres that the path needs, each once, in the order of their first zones.
     pub fn maneuvers_due(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
         for zone in &self.path.zones {
@@ -137,7 +137,7 @@ impl RunConfig {
         self.path.zones.iter().map(set_of).collect()
     }
 
-    /// Learners of the tuner: as many as its setting `learners` says, or else one for each learning rate.
+    /// Number of learners of the tuner: its setting `learners`, or else one for each learning rate.
     pub fn learners(&self) -> usize {
         match self.tuner.settings.0.get("learners") {
             Some(_) => self.tuner.settings.number("learners").max(1.0) as usize,
@@ -145,7 +145,7 @@ impl RunConfig {
         }
     }
 
-    /// Vehicles of the fleet: `run.fleet`, or one a learner.
+    /// Number of vehicles in the fleet: `run.fleet`, or one for each learner.
     pub fn fleet(&self) -> usize {
         match self.run.fleet {
             0 => self.learners(),
@@ -154,7 +154,7 @@ impl RunConfig {
     }
 }
 
-/// One row of the paper's tables: gains, and what the paper read with them.
+/// One row of the paper's tables: gains, and the paper's results with them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PaperSet {
@@ -182,14 +182,14 @@ pub struct PaperRow {
     pub chosen: bool,
 }
 
-/// What a drive is judged by: the one number that is made small.
+/// The objective by which a drive is judged: the one number that is minimised.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
 pub struct ObjectiveConfig {
     pub name: String,
     pub summary: String,
-    /// Its unit; empty where it has none.
+    /// Its unit; empty if it has none.
     pub unit: String,
     pub cap_wheelbases: f64,
     /// The settings of its file in `config/objectives`.
@@ -197,7 +197,7 @@ pub struct ObjectiveConfig {
     pub settings: Settings,
 }
 
-/// The tuner that `learning.tuner` names, as its file in `config/tuners` tells of it.
+/// The tuner that `learning.tuner` names, as described by its file in `config/tuners`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TunerConfig {
@@ -208,7 +208,7 @@ pub struct TunerConfig {
     pub settings: Settings,
 }
 
-/// Where a set is ranked among all of the grid.
+/// When a set is ranked among all sets of the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
@@ -234,12 +234,12 @@ pub struct PoseConfig {
 pub struct PathConfig {
     /// Pose of the path's start.
     pub start: PoseConfig,
-    /// The pieces, one behind the other.
+    /// The pieces, one after the other.
     pub pieces: Vec<Piece>,
-    /// Points that the path runs through, (x_m, y_m) in the map frame; the first lies at the start. A
-    /// path is closed where the last one is the first one again.
+    /// Points through which the path runs, (x_m, y_m) in the map frame; the first one is at the start. A
+    /// path is closed if its last point is its first.
     pub points: Vec<[f64; 2]>,
-    /// The reference's speed at each point; empty where it is the same everywhere.
+    /// The reference's speed at each point; empty if it is the same everywhere.
     pub speeds_mps: Vec<f64>,
     /// The zones, in the order of the path.
     pub zones: Vec<ZoneConfig>,
@@ -254,7 +254,8 @@ pub enum Piece {
         /// Length.
         length_m: f64,
     },
-    /// To another lane: its heading is the diagonal's own, and the old one again behind it.
+    /// A straight diagonal to another lane: its heading is that of the diagonal; after it, the heading is the old one
+    /// again.
     Diagonal {
         /// Distance ahead, in the heading before the piece.
         length_m: f64,
@@ -294,7 +295,7 @@ choice!(
     Advance {
         /// With time, at a set speed after a ramp from rest.
         Time,
-        /// With the measured pose's projection on the path.
+        /// With the projection of the measured pose on the path.
         Projection,
     }
 );
@@ -331,7 +332,7 @@ pub struct Controller {
 choice!(
     /// Where the vehicle is, for the zones.
     ZoneBy {
-        /// By the measured pose's projection on the path.
+        /// By the projection of the measured pose on the path.
         Measured,
         /// By the reference's progress.
         Reference,
@@ -391,7 +392,7 @@ choice!(
     }
 );
 choice!(
-    /// Over what the closest state is kept.
+    /// For how long the closest state is kept.
     ClosestOver {
         /// The whole training.
         Training,
@@ -482,7 +483,7 @@ pub struct Robust {
     pub holdout: u32,
 }
 
-/// What differs from run to run.
+/// The keys that differ from run to run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
@@ -545,7 +546,7 @@ pub struct Vehicle {
     pub gains: BTreeMap<String, crate::TunedGains>,
 }
 
-/// Limits of what may reach the vehicle, and of what may be believed of it. `inf` switches a limit off.
+/// Limits for commands to the vehicle, and for the plausibility of its odometry. `inf` switches a limit off.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in vehicles/tesla_model_3.toml")]

@@ -1,4 +1,4 @@
-//! What a pipeline drives outside a training: a list of parameter sets, written beside the configuration.
+//! What a pipeline drives outside a training: a list of parameter sets, in a file next to the configuration.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,25 +8,25 @@ use crate::{ConfigError, LawConfig, NamedParameters, Parameters};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SweepPlan {
-    /// Which sets, and what is made of them.
+    /// Which sets are driven, and for which result.
     pub kind: SweepKind,
-    /// Noisy drives of each set, with the noise seeds 1, 2, …; only of a validation.
+    /// Noisy drives of each set, with the noise seeds 1, 2, …; only for a validation.
     pub repeats: u32,
     /// The vehicle paces by the clock: a restarted process joins the drive under way, which is never made again.
     pub realtime: bool,
-    /// Sets that were named, each with one for every manoeuvre of the path, or one for all.
+    /// Sets that the user gave: for each, one set for every manoeuvre of the path, or one for all.
     pub sets: Vec<Vec<NamedParameters>>,
 }
 
-/// What is made of the drives.
+/// The purpose of the drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SweepKind {
-    /// Each named set without noise and with it, beside the paper's figures.
+    /// Each given set without noise and with it, compared with the paper's figures.
     Validate,
-    /// Every set of the grid without noise, and the named ones among them.
+    /// Every set of the grid without noise, and the given ones among them.
     Grid,
-    /// The first named set, once.
+    /// The first given set, once.
     Drive,
 }
 
@@ -34,7 +34,7 @@ impl SweepPlan {
     /// Name of the file in the run's folder.
     pub const FILE: &'static str = "sweep.toml";
 
-    /// The sets as the law of a run reads them.
+    /// The sets as parameters of a run's law.
     ///
     /// # Errors
     /// If they are not that law's parameters.
@@ -46,10 +46,10 @@ impl SweepPlan {
         self.sets.iter().map(|sets| sets.iter().map(of).collect()).collect()
     }
 
-    /// Parses what the orchestrator wrote.
+    /// Parses the plan that the orchestrator wrote.
     ///
     /// # Errors
-    /// If the text is no plan.
+    /// If the text is not a plan.
     pub fn parse(text: &str) -> Result<Self, ConfigError> {
         toml::from_str(text)
             .map_err(|error| ConfigError::new(Self::FILE, "", error.message().to_owned()))

@@ -1,4 +1,4 @@
-//! Gains that were promoted to a vehicle, as they stand in its file below `gains.MANEUVER`.
+//! Gains that were promoted to a vehicle, as written in its file below `gains.MANEUVER`.
 
 use std::collections::BTreeMap;
 
@@ -10,27 +10,27 @@ use crate::validate::{Problem, within};
 
 /// The tuned parameters of a vehicle for one manoeuvre.
 ///
-/// Files of earlier versions hold the four gains of the paper's law without a table of their own; they are read, too.
+/// Files of earlier versions have the four gains of the paper's law without a separate table; they are read, too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written")]
 pub struct TunedGains {
-    /// Name of the law that they belong to.
+    /// Name of the law to which they belong.
     pub law: String,
     /// The parameters.
     pub parameters: NamedParameters,
     /// Where they come from; those written by hand have none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub provenance: Option<Provenance>,
-    /// What stood here before, the newest last.
+    /// The gains that were here before, the newest last.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub history: Vec<PastGains>,
 }
 
-/// Parameters that stood in a vehicle's file before.
+/// Parameters that were in a vehicle's file before.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written")]
 pub struct PastGains {
-    /// Name of the law that they belong to.
+    /// Name of the law to which they belong.
     pub law: String,
     /// The parameters.
     pub parameters: NamedParameters,
@@ -43,7 +43,7 @@ pub struct PastGains {
     pub provenance: Option<Provenance>,
 }
 
-/// A set as it may stand in a file: in this version's form, or in that of earlier ones.
+/// A set as written in a file: in this version's form, or in that of earlier versions.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
@@ -66,10 +66,10 @@ impl Written {
         if let Some(parameters) = self.parameters.take() {
             if let Some((name, _)) = gains.iter().find(|(_, gain)| gain.is_some()) {
                 return Err(format!(
-                    "has {name} beside the table `parameters`; keep one of the two"
+                    "has both {name} and the table `parameters`; keep one of the two"
                 ));
             }
-            let law = self.law.take().ok_or("missing field `law`: whose parameters they are")?;
+            let law = self.law.take().ok_or("missing field `law`: the law of these parameters")?;
             return Ok((law, parameters));
         }
         if self.law.is_some() {
@@ -88,7 +88,7 @@ impl TryFrom<Written> for TunedGains {
 
     fn try_from(mut written: Written) -> Result<Self, String> {
         if written.replaced_at.is_some() || written.replaced_by.is_some() {
-            return Err("replaced_at and replaced_by belong into its history".to_owned());
+            return Err("replaced_at and replaced_by belong in its history".to_owned());
         }
         let (law, parameters) = written.set()?;
         let history = written.history.unwrap_or_default();
@@ -101,7 +101,7 @@ impl TryFrom<Written> for PastGains {
 
     fn try_from(mut written: Written) -> Result<Self, String> {
         if written.history.is_some() {
-            return Err("a set of the history has no history".to_owned());
+            return Err("a set of the history cannot have a history".to_owned());
         }
         let (law, parameters) = written.set()?;
         Ok(Self {
@@ -120,12 +120,12 @@ impl TryFrom<Written> for PastGains {
 pub enum Replacement {
     /// Gains of a training.
     Promotion,
-    /// Older gains: these ones were given up.
+    /// Older gains, by a rollback.
     Rollback,
 }
 
 impl Replacement {
-    /// As it stands in the file.
+    /// The word in the file.
     pub fn name(self) -> &'static str {
         match self {
             Self::Promotion => "promotion",
@@ -134,7 +134,7 @@ impl Replacement {
     }
 }
 
-/// The training that gains come from.
+/// The training from which gains come.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
@@ -146,14 +146,14 @@ pub struct Provenance {
     pub run: String,
     /// The manoeuvre that was trained.
     pub maneuver: String,
-    /// Name of the vehicle that was trained with.
+    /// Name of the vehicle in the training.
     pub vehicle: String,
     /// Seed of the training.
     pub seed: u64,
-    /// The tuner; versions before there was a choice of objectives do not name it.
+    /// The tuner; earlier versions, which had no choice of tuners, do not name it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tuner: Option<String>,
-    /// What drives were judged by; the distance in earlier versions.
+    /// The objective by which drives were judged; the distance in earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub objective: Option<String>,
     /// The learning rates of the Q-learning tuners.
@@ -171,7 +171,7 @@ pub struct Provenance {
     /// Its largest value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path_max_m: Option<f64>,
-    /// Sets of the grid; none where the grid was not driven.
+    /// Number of sets of the grid; `None` if the grid was not driven.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub grid_size: Option<u64>,
     /// Rank in the grid by the distance, noise-free.
@@ -257,8 +257,8 @@ fn check_text(key: &str, name: &str, text: &str) -> Result<(), Problem> {
     Err((format!("{key}.{name}"), problem))
 }
 
-/// Whether `key` is that of promoted gains, in a document whose other keys are `known`. No preset has any, so that
-/// they cannot be found there; what stands below is checked when it is parsed.
+/// Whether `key` is that of promoted gains, in a document whose other keys are `known`. No preset has any gains, so
+/// they cannot be found there; the keys below are checked when they are parsed.
 pub(crate) fn is_map(known: &Table, key: &str) -> bool {
     match key {
         "vehicle.gains" => known.contains_key("vehicle"),
@@ -268,7 +268,7 @@ pub(crate) fn is_map(known: &Table, key: &str) -> bool {
     }
 }
 
-/// Lays promoted gains on those that are there: those of a manoeuvre are replaced as a whole.
+/// Puts promoted gains on top of the present ones: those of a manoeuvre are replaced as a whole.
 pub(crate) fn lay_on(values: &mut Table, key: &str, above: Value) {
     let values = match key.split_once('.') {
         Some((head, _)) => values.get_mut(head).and_then(Value::as_table_mut),
@@ -283,7 +283,7 @@ pub(crate) fn lay_on(values: &mut Table, key: &str, above: Value) {
     }
 }
 
-/// Collects where `item` and everything below it stands.
+/// Collects the places of `item` and of everything below it.
 pub(crate) fn note_places(
     item: &toml_edit::Item,
     key: &str,

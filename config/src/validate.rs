@@ -1,4 +1,4 @@
-//! Ranges, and what must fit together.
+//! Checks ranges, and values that must fit together.
 
 use crate::{Advance, Axis, Grid, Piece, RunConfig, Scale, Vehicle, VehicleModel, law, points};
 
@@ -6,7 +6,7 @@ use crate::{Advance, Axis, Grid, Piece, RunConfig, Scale, Vehicle, VehicleModel,
 pub(crate) const MAX_FLEET: u32 = 256;
 /// The largest grid: the exhaustive ranking visits every set.
 const MAX_GRID: usize = 100_000;
-/// The largest Q-table, in entries: bins² · 3^parameters. Some 1.2 GB a learner.
+/// The largest Q-table, in entries: bins² · 3^parameters. About 1.2 GB for each learner.
 const MAX_Q_TABLE: f64 = 1e8;
 /// The longest drive, in ticks.
 const MAX_TICKS: f64 = 1e6;
@@ -24,7 +24,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     above("drive.loop_time_s", c.drive.loop_time_s, 0.0, 3600.0)?;
     within("drive.tick_s", c.drive.tick_s, 0.001, 0.1)?;
     if c.ticks() < 1 || c.drive.loop_time_s / c.drive.tick_s > MAX_TICKS {
-        let problem = format!("holds {} ticks, and must hold 1 to {MAX_TICKS}", c.ticks());
+        let problem = format!("holds {} ticks, but must hold 1 to {MAX_TICKS}", c.ticks());
         return Err(("drive.loop_time_s".to_owned(), problem));
     }
     within("drive.goal_radius_m", c.drive.goal_radius_m, 0.0, 100.0)?;
@@ -128,7 +128,7 @@ fn grid(config: &RunConfig) -> Result<(), Problem> {
         within(&format!("{key}.min"), min, parameter.min, parameter.max)?;
         within(&format!("{key}.max"), max, parameter.min, parameter.max)?;
         if max < min {
-            return Err((key, format!("is reversed: min {min} lies above max {max}")));
+            return Err((key, format!("is reversed: min {min} is above max {max}")));
         }
         let steps = match parameter.scale {
             Scale::Linear => {
@@ -141,26 +141,30 @@ fn grid(config: &RunConfig) -> Result<(), Problem> {
             }
         };
         if steps > 1e4 {
-            return Err((key, "holds more than 10000 values; take a larger step".to_owned()));
+            return Err((key, "holds more than 10000 values; use a larger step".to_owned()));
         }
     }
     let known = |key: &String| config.law.keys().any(|it| it == key);
     if let Some(key) = config.grid.keys().find(|key| !known(key)) {
         let keys: Vec<&str> = config.law.keys().collect();
-        let problem =
-            format!("is no parameter of the law {}; it has {}", config.law.name, keys.join(", "));
+        let problem = format!(
+            "is not a parameter of the law {}; it has {}",
+            config.law.name,
+            keys.join(", ")
+        );
         return Err((format!("grid.{key}"), problem));
     }
     let grid = Grid::new(&config.law, &config.grid);
     let sets = grid.axes().iter().map(|axis| axis.len() as f64).product::<f64>();
     if sets > MAX_GRID as f64 {
-        let problem = format!("holds {sets} sets, and may hold {MAX_GRID}; take larger steps");
+        let problem =
+            format!("holds {sets} sets, but may hold at most {MAX_GRID}; use larger steps");
         return Err(("grid".to_owned(), problem));
     }
     Ok(())
 }
 
-/// Names that must be those of a preset, and what belongs to them.
+/// Checks names that must be those of a preset, and what belongs to them.
 fn presets(config: &RunConfig) -> Result<(), Problem> {
     for (key, folder, name) in [
         ("law.name", "laws", &config.law.name),
@@ -177,7 +181,7 @@ fn presets(config: &RunConfig) -> Result<(), Problem> {
     within("objective.cap_wheelbases", config.objective.cap_wheelbases, 0.0, 1000.0)
 }
 
-/// A scale of an objective that is to be its least value in the grid needs a grid that is driven.
+/// A scale of 0, which stands for an objective's least value in the grid, needs a grid that is driven.
 fn scales(config: &RunConfig) -> Result<(), Problem> {
     let ticks = u128::from(config.ticks()) * config.grid().len() as u128;
     if ticks <= u128::from(config.ranking.max_ticks) {
@@ -191,7 +195,7 @@ fn scales(config: &RunConfig) -> Result<(), Problem> {
         if counts && settings.number(key) == 0.0 {
             let problem = format!(
                 "is 0, which stands for the least value in the grid, but the grid takes {ticks} ticks and is driven \
-                 up to {} (ranking.max_ticks); give a scale, or raise ranking.max_ticks",
+                 only up to {} (ranking.max_ticks); give a scale, or raise ranking.max_ticks",
                 config.ranking.max_ticks
             );
             return Err((format!("objective.settings.{key}"), problem));
@@ -212,8 +216,8 @@ fn learning(config: &RunConfig) -> Result<(), Problem> {
     let entries = f64::from(l.bins).powi(2) * 3f64.powi(count);
     if entries > MAX_Q_TABLE {
         let problem = format!(
-            "is {}: with the {count} parameters of the law {} a learner's table would hold {entries:e} entries, and \
-             may hold {MAX_Q_TABLE:e}; take fewer bins, or a law with fewer parameters",
+            "is {}: with the {count} parameters of the law {} a learner's table would hold {entries:e} entries, but \
+             may hold at most {MAX_Q_TABLE:e}; use fewer bins, or a law with fewer parameters",
             l.bins, config.law.name
         );
         return Err(("learning.bins".to_owned(), problem));
@@ -230,7 +234,7 @@ fn run(config: &RunConfig) -> Result<(), Problem> {
         return Err(("run.alphas".to_owned(), "is empty; name at least one".to_owned()));
     }
     whole("run.alphas", run.alphas.len() as u64, 1, MAX_FLEET.into()).map_err(|(key, _)| {
-        (key, format!("holds {} values, and may hold {MAX_FLEET}", run.alphas.len()))
+        (key, format!("holds {} values, but may hold at most {MAX_FLEET}", run.alphas.len()))
     })?;
     for (index, &alpha) in run.alphas.iter().enumerate() {
         above(&format!("run.alphas[{index}]"), alpha, 0.0, 1.0)?;
@@ -293,21 +297,21 @@ fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     if v.model == VehicleModel::Dynamic { dynamic_vehicle(v) } else { Ok(()) }
 }
 
-/// What must fit together in the dynamic model, and is of no concern to the kinematic one.
+/// Checks values that must fit together in the dynamic model, but do not matter to the kinematic one.
 fn dynamic_vehicle(v: &Vehicle) -> Result<(), Problem> {
     let (front_m, rear_m) = (v.front_axle_to_cg_m, v.wheelbase_m - v.front_axle_to_cg_m);
     if rear_m <= 0.0 {
         let problem =
-            format!("is {front_m}, and must be less than the wheelbase, {}", v.wheelbase_m);
+            format!("is {front_m}, but must be less than the wheelbase, {}", v.wheelbase_m);
         return Err(("vehicle.front_axle_to_cg_m".to_owned(), problem));
     }
     let (front_npr, rear_npr) = (v.cornering_stiffness_front_npr, v.cornering_stiffness_rear_npr);
-    // An oversteering car loses its stability at this speed: it turns ever faster with no steering at all.
+    // An oversteering car becomes unstable at this speed: it turns ever faster without any steering.
     let oversteer = v.mass_kg * (front_m * front_npr - rear_m * rear_npr);
     let stiffness = front_npr * rear_npr * v.wheelbase_m * v.wheelbase_m;
     if oversteer * v.speed_limit_mps * v.speed_limit_mps >= stiffness {
         let problem = format!(
-            "is {rear_npr}, with which the car oversteers and is unstable from {:.1} m/s on; take stiffer \
+            "is {rear_npr}, with which the car oversteers and is unstable from {:.1} m/s on; use stiffer \
              rear tyres or a vehicle.speed_limit_mps below that",
             (stiffness / oversteer).sqrt()
         );
@@ -321,7 +325,7 @@ pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), P
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err((key.to_owned(), format!("is {value}, and must lie in [{low}, {high}]")))
+    Err((key.to_owned(), format!("is {value}, but must lie in [{low}, {high}]")))
 }
 
 /// `low < value <= high`; NaN is never within.
@@ -329,12 +333,12 @@ pub(crate) fn above(key: &str, value: f64, low: f64, high: f64) -> Result<(), Pr
     if value > low && value <= high {
         return Ok(());
     }
-    Err((key.to_owned(), format!("is {value}, and must lie in ({low}, {high}]")))
+    Err((key.to_owned(), format!("is {value}, but must lie in ({low}, {high}]")))
 }
 
 fn whole(key: &str, value: u64, low: u64, high: u64) -> Result<(), Problem> {
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err((key.to_owned(), format!("is {value}, and must lie in [{low}, {high}]")))
+    Err((key.to_owned(), format!("is {value}, but must lie in [{low}, {high}]")))
 }

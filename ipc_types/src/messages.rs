@@ -229,7 +229,7 @@ message!(
         pub tick: u64,
         /// [`RawCommand::origin_m`] of the last answer.
         pub origin_m: f64,
-        /// Angle that was commanded last: the state of the law's filter.
+        /// Steering angle that was commanded last.
         pub steering_rad: f64,
         /// Commands that were changed since the start of the drive.
         pub changed: u64,
@@ -333,7 +333,7 @@ message!(
         pub heading_rad: f64,
         /// Progress of the reference along the path.
         pub reference_along_m: f64,
-        /// Distance of the measured pose from the nearest point of the path; never negative.
+        /// Distance of the true pose, or of the measured one if no truth is known, from the nearest point of the path.
         pub path_distance_m: f64,
     }
 );

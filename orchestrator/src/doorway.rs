@@ -16,25 +16,25 @@ use crate::runs::folder::refuse_earlier_run;
 use crate::runs::result::name_files;
 use crate::words::{Failure, print_failure, print_line, print_usage_error};
 
-/// What the binary hands in: whatever links a service, which this library does not.
+/// What the binary hands in: the parts that link services, which this library does not.
 #[derive(Debug, Clone, Copy)]
 pub struct House {
     /// Our own services.
     pub services: Services,
-    /// What is done beside a pipeline.
+    /// Tools that are used alongside a pipeline.
     pub tools: Tools,
 }
 
-/// Commands that look at a run from outside, or at what it left.
+/// Commands that observe a run from outside, or read what it has left.
 #[derive(Debug, Clone, Copy)]
 pub struct Tools {
-    /// Draws the report of the run in a folder; names its page.
+    /// Draws the report of the run in a folder; returns the path of its page.
     pub report: fn(&Path) -> Result<PathBuf, String>,
-    /// Looks into a living run.
+    /// Watches a living run.
     pub monitor: fn(MonitorArgs) -> Result<(), Failure>,
     /// Records a living run.
     pub record: fn(&RecordArgs) -> Result<(), Failure>,
-    /// Replays a recording; whether nothing differed.
+    /// Replays a recording; returns whether nothing differed.
     pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
 }
 
@@ -66,7 +66,7 @@ pub fn run(house: House) -> ExitCode {
     }
 }
 
-/// Whether all is well; what is not is printed already: a finding is no failure.
+/// Returns whether all is well. A finding is not a failure: what is wrong has been printed already.
 fn execute(command: Command, house: House) -> Result<bool, Failure> {
     let House { services, tools } = house;
     let draw = |ended: EndedRun| name_files(&ended, (tools.report)(&ended.folder));

@@ -1,5 +1,5 @@
-//! Driving at 100 Hz: how long odometry takes to become a command that is applied, and what is lost, on a quiet machine
-//! and beside a load on all cores.
+//! Driving at 100 Hz: how long it takes from odometry to the applied command, and what is lost, on a quiet machine and
+//! with a load on all cores.
 
 use std::io::Read;
 use std::os::unix::process::CommandExt;
@@ -20,7 +20,7 @@ use crate::words::Failure;
 use crate::words::tables::table_of;
 use crate::words::terminal::{say, tell};
 
-/// Ticks before a drive is looked at: the processes have just started.
+/// Time before a drive is measured: the processes have just started.
 const SETTLING: Duration = Duration::from_secs(1);
 
 /// How it is driven.
@@ -38,7 +38,7 @@ const CONDITIONS: [Condition; 4] = [
     Condition { name: "realtime/fifo/loaded", loaded: true, fifo: true },
 ];
 
-/// Measures each, prints a table.
+/// Measures under each condition, and prints a table.
 pub(super) fn bench(time: Duration, as_json: bool) -> Result<(), Failure> {
     let mut rows = Vec::new();
     for condition in CONDITIONS {
@@ -50,7 +50,7 @@ pub(super) fn bench(time: Duration, as_json: bool) -> Result<(), Failure> {
     let hop = |report: &Value, key: &str| report["hops"]["end_to_end"][key].as_u64().unwrap_or(0);
     let ticks = |report: &Value| {
         let count = |key: &str| report[key].as_u64().unwrap_or(0);
-        // The first tick's odometry tells of no command.
+        // The odometry of the first tick does not report a command.
         let driven = count("ticks") + count("missed");
         (driven, driven.saturating_sub(1).saturating_sub(hop(report, "n")))
     };
@@ -86,13 +86,13 @@ pub(super) fn bench(time: Duration, as_json: bool) -> Result<(), Failure> {
     }
     say!("{table}");
     say!(
-        "end to end: odometry published to command applied; lost: ticks that went by without a command of their own; \
+        "end to end: odometry published to command applied; lost: ticks that passed without a command of their own; \
          loaded: a busy thread on each core; fifo: --fifo, where it is allowed"
     );
     Ok(())
 }
 
-/// The monitor's report over a drive by the clock.
+/// The monitor's report on a drive by the clock.
 fn measure(condition: Condition, time: Duration) -> Result<Value> {
     let folder = tempfile::tempdir()?;
     let load = condition.loaded.then(Load::new);
@@ -137,7 +137,7 @@ impl Drive {
         Ok(Self(child))
     }
 
-    /// Waits until it drives; its number.
+    /// Waits until it drives; returns the run's number.
     fn run(&self) -> Result<String> {
         let until = Instant::now() + Duration::from_secs(20);
         loop {
@@ -158,7 +158,7 @@ impl Drop for Drive {
     }
 }
 
-/// A busy thread for each core.
+/// A load of one busy thread for each core.
 struct Load {
     stop: Arc<AtomicBool>,
     threads: Vec<thread::JoinHandle<()>>,

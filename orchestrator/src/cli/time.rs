@@ -1,4 +1,4 @@
-//! The one way in which a time is written on the command line: `10s`, `1m30s`, `500ms`, or a number of seconds.
+//! How a time is written on the command line: `10s`, `1m30s`, `500ms`, or a number of seconds.
 
 use std::time::Duration;
 
@@ -7,12 +7,12 @@ use jiff::SignedDuration;
 /// A time above zero.
 pub(super) fn above_zero(text: &str) -> Result<Duration, String> {
     let time = parse(text).filter(|time| !time.is_zero());
-    time.ok_or_else(|| "a time above zero is meant, as in 500ms, 10s or 1m30s".to_owned())
+    time.ok_or_else(|| "expected a time above zero, as in 500ms, 10s or 1m30s".to_owned())
 }
 
-/// A time from zero on.
+/// A time of zero or more.
 pub(super) fn from_zero(text: &str) -> Result<Duration, String> {
-    parse(text).ok_or_else(|| "a time is meant, as in 0s, 500ms, 10s or 1m30s".to_owned())
+    parse(text).ok_or_else(|| "expected a time, as in 0s, 500ms, 10s or 1m30s".to_owned())
 }
 
 fn parse(text: &str) -> Option<Duration> {

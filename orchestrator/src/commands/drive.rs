@@ -16,7 +16,7 @@ use crate::words::tables;
 /// Drives once.
 ///
 /// # Errors
-/// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
+/// On a user's mistake, before anything is started; if the pipeline cannot be kept alive.
 pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Failure> {
     let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, None)?;
     if args.noise {
@@ -59,7 +59,7 @@ fn choose(args: &DriveArgs, config: &RunConfig) -> Result<(Vec<Parameters>, Stri
         return Ok((vec![law.defaults()], origin));
     }
     Err(Failure::User(format!(
-        "{}{missing}; name some with --gains {}, or a training with --from RUN",
+        "{}{missing}; give some with --gains {}, or a training with --from RUN",
         no_paper_gains(config),
         list(config)
     )))
@@ -91,20 +91,20 @@ fn promoted(config: &RunConfig) -> Result<Option<(Vec<Parameters>, String)>, Fai
     Ok(Some((parameters.collect::<Result<_, _>>()?, origin)))
 }
 
-/// Refuses parameters of another law than the one that is to drive; `what` names them.
+/// Refuses parameters of a law other than the one that is to drive; `what` names them in the error.
 fn check_law(what: &str, law: &str, config: &RunConfig) -> Result<(), Failure> {
     let ours = &config.law.name;
     if law == ours {
         return Ok(());
     }
     Err(Failure::User(format!(
-        "{what} are parameters of the law {law}, and the law {ours} is to drive; add --law {law}, or name parameters \
+        "{what} are parameters of the law {law}, but the law {ours} is to drive; add --law {law}, or give parameters \
          of {ours} with --gains {}",
         list(config)
     )))
 }
 
-/// Which promoted gains were of no use, and why.
+/// Says which promoted gains are missing.
 fn missing(config: &RunConfig) -> String {
     let held = &config.vehicle.gains;
     if held.is_empty() {
@@ -115,7 +115,7 @@ fn missing(config: &RunConfig) -> String {
     format!(", as {} has none for {}", config.vehicle_preset, names.join(", "))
 }
 
-/// Which parameters a drive takes, and where from.
+/// Says which parameters a drive uses, and where they come from.
 fn describe(config: &RunConfig, set: &[Parameters], origin: &str) -> String {
     let numbers = |set: &Parameters| {
         let numbers = config.law.values(set).iter().map(|value| tables::trim(*value));
@@ -148,7 +148,7 @@ fn from_trainings(runs: &[PathBuf], config: &RunConfig) -> Result<Vec<Parameters
             found.ok_or_else(|| {
                 let names: Vec<_> = tuned.iter().map(|(maneuver, _)| maneuver.as_str()).collect();
                 Failure::User(format!(
-                    "--from: the path asks for {due}, and the trainings are of {}",
+                    "--from: the path needs {due}, but the trainings are of {}",
                     names.join(", ")
                 ))
             })
@@ -163,7 +163,7 @@ fn tuned_parameters(run: &Path, config: &RunConfig) -> Result<(String, Parameter
     let decided = match read_result(run) {
         Ok(result) => result.decided,
         Err(outcome::OutcomeError::Io { source, .. }) => {
-            let why = format!("{source}; name the folder of a training that has come to its end");
+            let why = format!("{source}; name the folder of a finished training");
             return Err(wrong(why));
         }
         Err(error) => return Err(Failure::User(format!("--from {error}"))),

@@ -1,4 +1,4 @@
-//! `pathtune gains`: the result of a training, promoted to a vehicle's file, and back.
+//! `pathtune gains`: promotes the result of a training to a vehicle's file, and rolls it back.
 
 use std::fs;
 use std::path::Path;
@@ -15,10 +15,10 @@ use crate::words::Failure;
 use crate::words::tables::{digits, set_cells, table_of, trim};
 use crate::words::terminal::{say, tell};
 
-/// Shows, promotes or brings back the gains of a vehicle's file.
+/// Shows, promotes or rolls back the gains in a vehicle's file.
 ///
 /// # Errors
-/// The user's mistakes; a file that cannot be written.
+/// On a user's mistake, or if a file cannot be written.
 pub(crate) fn gains(command: &GainsCommand) -> Result<(), Failure> {
     match command {
         GainsCommand::List { vehicle, json } => list(vehicle, *json),
@@ -40,7 +40,7 @@ fn list(file: &Path, as_json: bool) -> Result<(), Failure> {
         return print_json(&json!({ "schema": 1, "vehicle": vehicle.name, "gains": gains }));
     }
     if vehicle.gains.is_empty() {
-        say!("{}: no gains yet; `pathtune gains promote RUN {0}` brings some", file.display());
+        say!("{}: no gains yet; `pathtune gains promote RUN {0}` adds some", file.display());
         return Ok(());
     }
     let mut laws: Vec<&str> = vehicle.gains.values().map(|set| set.law.as_str()).collect();
@@ -60,7 +60,7 @@ fn list(file: &Path, as_json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A set for scripts: its parameters stand beside the rest, under their own names.
+/// A set as JSON, for scripts: its parameters are on the same level as the rest, under their own names.
 fn to_json(set: &TunedGains) -> Value {
     let mut json = json!(set);
     flatten(&mut json);
@@ -77,7 +77,8 @@ fn flatten(json: &mut Value) {
     }
 }
 
-/// A table with a column for each parameter of a law, which is named in front of them if it is not the paper's.
+/// A table with a column for each parameter of a law. A law that is not the paper's is named in the first column's
+/// title.
 fn table_of_law(law: &LawConfig, first: &str, last: &[&str]) -> comfy_table::Table {
     let first = match &*law.name {
         "paper" => first.to_owned(),
@@ -88,9 +89,9 @@ fn table_of_law(law: &LawConfig, first: &str, last: &[&str]) -> comfy_table::Tab
     table_of(&header)
 }
 
-/// The preset of a law that stands in a vehicle's file.
+/// The preset of a law that a vehicle's file names.
 fn law_of(name: &str) -> LawConfig {
-    law_preset(name).expect("a vehicle's file that was read names known laws")
+    law_preset(name).expect("a resolved vehicle's file names known laws only")
 }
 
 fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
@@ -173,7 +174,7 @@ fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
 fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Failure> {
     let trained = Trained::read(run)?;
     check_is_file(file)?;
-    // A second promotion at the same time waits for this one: neither is lost.
+    // A second promotion at the same time waits for this one, so that neither is lost.
     let target = VehicleFile::lock(file)?;
     let vehicle = resolve(file)?;
     let Trained { maneuver, law, parameters, provenance, .. } = &trained;
@@ -181,7 +182,7 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
         && !force
     {
         return Err(Failure::User(format!(
-            "{}: {key} is {now}, and the training was of a vehicle with {then}; train again with --vehicle {0}, or \
+            "{}: {key} is {now}, but the training was of a vehicle with {then}; train again with --vehicle {0}, or \
              insist with --force",
             file.display()
         )));
@@ -201,7 +202,7 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
         && !force
     {
         return Err(Failure::User(format!(
-            "{}: gains.{maneuver}: are parameters of the law {}, and the training was of the law {law}; train again with \
+            "{}: gains.{maneuver}: are parameters of the law {}, but the training was of the law {law}; train again with \
              --law {1}, or insist with --force",
             file.display(),
             old.law
@@ -229,7 +230,7 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
     if !dry_run {
         target.replace(&text)?;
     }
-    // Behind whatever may be refused: that is one line.
+    // Printed only once nothing can be refused any more: a refusal is one line.
     if !trained.on_bound.is_empty() {
         let bounds = trained.on_bound.join(", ");
         tell!(
@@ -258,12 +259,12 @@ fn rollback(file: &Path, maneuver: Option<&str>, to: Option<usize>) -> Result<()
         let held = set.history.len();
         fail(match to {
             Some(to) => format!(
-                "gains.{maneuver}: --to {to}: the history holds {held}; `pathtune gains show` lists them"
+                "gains.{maneuver}: --to {to}: the history holds {held} sets; `pathtune gains show` lists them"
             ),
             None if held > 0 => format!(
-                "gains.{maneuver}: nothing stood there before; --to N brings back what was rolled back"
+                "gains.{maneuver}: there were no gains before these; --to N restores a set that was rolled back"
             ),
-            None => format!("gains.{maneuver}: nothing stood there before"),
+            None => format!("gains.{maneuver}: there were no gains before these"),
         })
     })?;
     let past = &set.history[place];
@@ -274,7 +275,7 @@ fn rollback(file: &Path, maneuver: Option<&str>, to: Option<usize>) -> Result<()
     say_changes(file, maneuver, "rolled back", old, (&past.law, &past.parameters))
 }
 
-/// A finished training, as far as it concerns a vehicle.
+/// What a vehicle needs of a finished training.
 struct Trained {
     /// The manoeuvre that its gains are for.
     maneuver: String,
@@ -293,11 +294,11 @@ impl Trained {
         if !folder.is_dir() {
             return Err(fail("name the folder of a finished training".to_owned()));
         }
-        // Held until everything is read: nobody goes on with it meanwhile.
+        // Held until everything is read, so that nobody resumes the training meanwhile.
         let _lock = preflight::look_into(run)?;
         let unfinished = |why: &str| {
             fail(format!(
-                "is no finished training: {why}; `pathtune train --resume {}` finishes one",
+                "is not a finished training: {why}; `pathtune train --resume {}` finishes it",
                 run.display()
             ))
         };
@@ -323,9 +324,9 @@ impl Trained {
         };
         let origin = run.join("config.toml").display().to_string();
         let config = resolved_config(&origin, &read("config.toml")?)?;
-        // A line is a step, behind the one that opens the journal.
+        // After the line that opens the journal, each line is a step.
         let steps = read("journal")?.lines().count().saturating_sub(1) as u64;
-        if training.drives.asked != steps {
+        if training.asked != steps {
             return Err(unfinished("result.json does not belong to the journal"));
         }
         for (key, differs) in [
@@ -335,12 +336,12 @@ impl Trained {
             ("seed", decided.seed != config.run.seed),
         ] {
             if differs {
-                return Err(unfinished(&format!("config.toml has another {key} than result.json")));
+                return Err(unfinished(&format!("config.toml and result.json differ in {key}")));
             }
         }
-        // By the preset, as whoever reads the vehicle's file does.
+        // By the law's preset, as when the vehicle's file is read.
         law_of(&config.law.name).parameters_of(&training.gains).map_err(|(name, problem)| {
-            fail(format!("{RESULT_FILE}: gains.{name} {problem}; that is the law's preset"))
+            fail(format!("{RESULT_FILE}: gains.{name} {problem}, according to the law's preset"))
         })?;
         let chosen = training.noise.as_ref().and_then(|noise| noise.finalists.first());
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
@@ -388,7 +389,7 @@ fn now() -> String {
     jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
-/// Checks that a vehicle is a file of the user's.
+/// Checks that the vehicle is a file of the user's own.
 fn check_is_file(file: &Path) -> Result<(), Failure> {
     let name = file.display().to_string();
     let preset = format!("vehicles/{}.toml", name.trim_end_matches(".toml"));
@@ -397,12 +398,12 @@ fn check_is_file(file: &Path) -> Result<(), Failure> {
         return Ok(());
     }
     let why = if is_preset && !file.exists() {
-        "is a preset, which cannot be changed; write your own file on top of it: `pathtune config init DIR` writes all \
+        "is a preset, which cannot be changed; make a copy of your own: `pathtune config init DIR` writes all \
          presets, this one as"
     } else if file.exists() {
-        "is no vehicle's file of yours; name a TOML file, such as, behind `pathtune config init DIR`,"
+        "is not a vehicle's file; name a TOML file, such as, after `pathtune config init DIR`,"
     } else {
-        "there is no such file; `pathtune config init DIR` writes the presets to start from, such as"
+        "no such file; `pathtune config init DIR` writes presets to start from, such as"
     };
     let example = if is_preset { preset } else { "vehicles/tesla_model_3.toml".to_owned() };
     Err(Failure::User(format!("{name}: {why} DIR/{example}")))
@@ -411,7 +412,7 @@ fn check_is_file(file: &Path) -> Result<(), Failure> {
 fn resolve(file: &Path) -> Result<Vehicle, Failure> {
     check_is_file(file)?;
     let name = file.to_str().ok_or_else(|| {
-        Failure::User(format!("{}: a vehicle's file needs a name in UTF-8", file.display()))
+        Failure::User(format!("{}: the name of a vehicle's file must be UTF-8", file.display()))
     })?;
     Ok(Layers::vehicle_of_file(name)?)
 }
@@ -438,7 +439,7 @@ fn describe(provenance: Option<&Provenance>) -> [String; 3] {
     [it.digest.chars().take(12).collect(), rank, it.promoted_at.clone()]
 }
 
-/// Says how the parameters of a manoeuvre changed; each as its law's name and its parameters.
+/// Says how the parameters of a manoeuvre changed. Old and new are given as the law's name and its parameters.
 fn say_changes(
     file: &Path,
     maneuver: &str,

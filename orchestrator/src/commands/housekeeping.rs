@@ -20,7 +20,7 @@ use crate::words::terminal::say;
 /// Lists the living runs.
 ///
 /// # Errors
-/// None that a user could mend.
+/// None that a user could do anything about.
 pub(crate) fn status(as_json: bool) -> Result<(), Failure> {
     let runs = RunState::living();
     if as_json {
@@ -67,21 +67,24 @@ pub(crate) fn status(as_json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Asks a living run to stop, and waits for its end.
+/// Asks a living run to stop, and waits until it has ended.
 ///
 /// # Errors
-/// If no run or several are meant, or it does not end.
+/// If `run` matches no run or several, or if it does not end.
 pub(crate) fn stop(run: Option<&str>) -> Result<(), Failure> {
     let state = RunState::find(run)?;
-    let pid = Pid::from_raw(state.pid as i32).context("no process id")?;
+    let pid = Pid::from_raw(state.pid as i32).context("not a process id")?;
     kill_process(pid, Signal::INT).context("failed to interrupt the run")?;
     // Its processes get five seconds each.
     let until = Instant::now() + Duration::from_secs(30);
     while RunState::living().iter().any(|other| other.run == state.run) {
         if Instant::now() > until {
-            return Err(
-                anyhow::anyhow!("run {} does not stop; kill -9 {}", state.run, state.pid).into()
-            );
+            return Err(anyhow::anyhow!(
+                "run {} does not stop; kill it with: kill -9 {}",
+                state.run,
+                state.pid
+            )
+            .into());
         }
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -89,10 +92,10 @@ pub(crate) fn stop(run: Option<&str>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Prints the ends of a run's logs: of a living run, or of an output folder.
+/// Prints the last lines of a run's logs; the run is a living one or an output folder.
 ///
 /// # Errors
-/// If no run is meant, or it has no such log.
+/// If `run` matches no run, or it has no such log.
 pub(crate) fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Result<(), Failure> {
     let folder = match run.map(Path::new).filter(|path| path.join("logs").is_dir()) {
         Some(folder) => folder.to_owned(),
@@ -124,7 +127,7 @@ pub(crate) fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Re
 /// Removes what dead runs left, or says what would be removed.
 ///
 /// # Errors
-/// None that a user could mend.
+/// None that a user could do anything about.
 pub(crate) fn clean(dry_run: bool) -> Result<(), Failure> {
     let stale = stale_segments();
     if dry_run {
@@ -150,14 +153,14 @@ struct Finding {
     check: &'static str,
     ok: bool,
     found: String,
-    /// What to do, where something is wrong.
+    /// What to do if something is wrong.
     advice: &'static str,
 }
 
-/// Checks what a run needs of the machine, and says what to do.
+/// Checks whether the machine has what a run needs, and says what to do if not.
 ///
 /// # Errors
-/// If something would keep a run from working; exit code 1.
+/// If something would prevent a run from working; exit code 1.
 pub(crate) fn doctor(as_json: bool) -> Result<(), Failure> {
     let findings = examine();
     if as_json {
@@ -171,7 +174,7 @@ pub(crate) fn doctor(as_json: bool) -> Result<(), Failure> {
             }
         }
     }
-    // Only the first ones keep a run from working; the rest is advice.
+    // Only the first findings prevent a run from working; the others are advice.
     match findings.iter().take(2).find(|finding| !finding.ok) {
         None => Ok(()),
         Some(finding) => Err(anyhow::anyhow!("{}: {}", finding.check, finding.found).into()),
@@ -189,7 +192,7 @@ fn examine() -> Vec<Finding> {
         "shared memory",
         free_mib >= 32,
         format!("{free_mib} MiB free in /dev/shm"),
-        "make room there, or enlarge it: mount -o remount,size=256m /dev/shm (docker: --shm-size)",
+        "free some of it, or enlarge it: mount -o remount,size=256m /dev/shm (docker: --shm-size)",
     );
     let folder = RunNames::create().map(|names| {
         let root = names.root.clone();
@@ -210,7 +213,7 @@ fn examine() -> Vec<Finding> {
         "cores",
         cores >= 2,
         format!("{cores}, one for each pipeline"),
-        "with one core, orchestrator and trainer share it with the ring: slower, and otherwise the same",
+        "with a single core, the orchestrator and the trainer share it with the ring: slower, but otherwise the same",
     );
     let files = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
     add(
@@ -224,7 +227,7 @@ fn examine() -> Vec<Finding> {
         "real-time priority",
         priority > 0 || rustix::process::geteuid().is_root(),
         format!("up to {priority} without privileges"),
-        "only for driving in real time: grant rtprio in /etc/security/limits.conf",
+        "needed only for driving in real time: grant rtprio in /etc/security/limits.conf",
     );
     let locked = getrlimit(Resource::Memlock).current.map_or(u64::MAX, |bytes| bytes >> 20);
     add(
@@ -234,14 +237,14 @@ fn examine() -> Vec<Finding> {
             "{} MiB",
             if locked == u64::MAX { "any number of".to_owned() } else { locked.to_string() }
         ),
-        "only for driving in real time: grant memlock in /etc/security/limits.conf",
+        "needed only for driving in real time: grant memlock in /etc/security/limits.conf",
     );
     let (dead, stray) = (runtime::run::dead_runs().len(), stale_segments().len());
     add(
         "leftovers",
         dead + stray == 0,
         format!("{dead} dead runs, {stray} stray segments"),
-        "remove them: pathtune clean (the next training does it too)",
+        "remove them with: pathtune clean (the next training does so, too)",
     );
     findings
 }

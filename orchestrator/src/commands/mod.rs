@@ -1,4 +1,5 @@
-//! What each command does, from its options to what it prints. One file a command, or a family of small ones.
+//! What each command does, from its options to what it prints. There is one file for each command or family of small
+//! ones.
 
 mod drive;
 mod gains;

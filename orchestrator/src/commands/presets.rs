@@ -1,4 +1,4 @@
-//! `pathtune config` and `pathtune schema`: what the binary carries, printed or written.
+//! `pathtune config` and `pathtune schema`: print or write what is embedded in the binary.
 
 use std::fs;
 
@@ -12,7 +12,7 @@ use crate::words::terminal::say;
 /// Prints the messages and topics for another language, or the schema of results.
 ///
 /// # Errors
-/// If standard output does not take it.
+/// If it cannot be written to standard output.
 pub(crate) fn print_schema(args: &SchemaArgs) -> Result<(), Failure> {
     let text = match args {
         SchemaArgs { result: true, .. } => outcome::schema(),
@@ -26,7 +26,7 @@ pub(crate) fn print_schema(args: &SchemaArgs) -> Result<(), Failure> {
 /// Lists, prints or writes the embedded presets.
 ///
 /// # Errors
-/// If no preset is meant, or a file is there already.
+/// If no preset matches, or a file exists already.
 pub(crate) fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
     match command {
         ConfigCommand::List => list()?,
@@ -37,7 +37,7 @@ pub(crate) fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
             if shown.is_empty() {
                 let paths: Vec<_> = config::presets().iter().map(|preset| preset.path).collect();
                 return Err(Failure::User(format!(
-                    "no preset's path holds {word:?}; there are {}",
+                    "no preset's path contains {word:?}; there are {}",
                     paths.join(", ")
                 )));
             }
@@ -50,7 +50,7 @@ pub(crate) fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
                 let path = folder.join(preset.path);
                 if path.exists() {
                     return Err(Failure::User(format!(
-                        "{} is there already; name another folder",
+                        "{} exists already; name another folder",
                         path.display()
                     )));
                 }
@@ -70,7 +70,7 @@ pub(crate) fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Folders of presets that a run takes one of, each with the option that names it.
+/// Folders of presets of which a run uses one, each with the option that selects it.
 const CHOICES: [(&str, &str); 5] = [
     ("maneuvers", "MANEUVER"),
     ("vehicles", "--vehicle"),
@@ -86,7 +86,7 @@ fn list() -> Result<(), Failure> {
     }
     for (folder, option) in CHOICES {
         let names: Vec<&str> = match folder {
-            // One of them lies below a path of the user's own, and is named by --path alone.
+            // The one that serves a path of the user's own is selected only by --path.
             "maneuvers" => config::maneuver_names().collect(),
             _ => config::names_in(folder).collect(),
         };

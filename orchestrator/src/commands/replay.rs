@@ -1,4 +1,4 @@
-//! `pathtune replay`: a recording through the ordinary pipeline, its vehicle and its trainer replaced.
+//! `pathtune replay`: runs a recording through the ordinary pipeline, with the vehicle and the trainer replaced.
 
 use std::fs;
 use std::time::Duration;
@@ -21,10 +21,10 @@ use crate::runs::running::run;
 use crate::runs::setup::read;
 use crate::words::Failure;
 
-/// The recorded configuration, with what the user puts on top of it.
+/// The recorded configuration, with the keys that the user overrides.
 ///
 /// # Errors
-/// The user's mistakes.
+/// On a user's mistake.
 pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Failure> {
     refuse_earlier(&args.file.display().to_string(), recorded)?;
     let mut config: Table = toml::from_str(recorded).context("the recorded configuration")?;
@@ -41,7 +41,7 @@ pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Fai
         let Some((key, value)) = assignment.split_once('=') else {
             return Err(wrong("has no '='; write --set key=value"));
         };
-        // What is no number, flag or list is a word.
+        // What is not a number, a flag or a list is a word.
         let value = toml::from_str::<Table>(&format!("it = {value}"))
             .ok()
             .and_then(|mut table| table.remove("it"))
@@ -57,7 +57,7 @@ pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Fai
         let Some(old) = table.get_mut(last) else {
             return Err(wrong("no such key in the recorded configuration"));
         };
-        // A whole number will do where the key holds any.
+        // A whole number is accepted where the key holds any number.
         *old = match (&*old, value) {
             (Toml::Float(_), Toml::Integer(whole)) => Toml::Float(whole as f64),
             (_, value) => value,
@@ -67,7 +67,7 @@ pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Fai
     Ok(RunConfig::from_resolved(&text)?)
 }
 
-/// Lays a document over another.
+/// Overrides the keys of one document by those of another.
 fn lay(under: &mut Table, over: Table) {
     for (key, value) in over {
         match (under.get_mut(&key), value) {
@@ -79,11 +79,11 @@ fn lay(under: &mut Table, over: Table) {
     }
 }
 
-/// Runs a replay in a folder of its own, removed afterwards; returns its outcome. `order` is what the processes are
-/// told, in a file of the name `order_file`.
+/// Runs a replay in a folder of its own, which is removed afterwards; returns its outcome. `order` is passed to the
+/// processes in a file named `order_file`.
 ///
 /// # Errors
-/// If the pipeline cannot be kept alive; the folder then stays, with its logs.
+/// If the pipeline cannot be kept alive; then the folder is kept, with its logs.
 pub fn replay(
     config: RunConfig,
     services: Services,

@@ -1,4 +1,4 @@
-//! `pathtune validate` and `pathtune grid`: lists of drives through the pipeline, and their tables.
+//! `pathtune validate` and `pathtune grid`: run lists of drives through the pipeline, and print their tables.
 
 use config::launch::Role;
 use config::{MAX_FLEET, Parameters, RunConfig, SweepKind, SweepPlan};
@@ -15,10 +15,10 @@ use crate::words::terminal::tell;
 /// Drives the paper's gain sets, or the user's, without noise and with it.
 ///
 /// # Errors
-/// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
+/// On a user's mistake, before anything is started; if the pipeline cannot be kept alive.
 pub(crate) fn validate(args: &ValidateArgs, services: Services) -> Result<EndedRun, Failure> {
     let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, None)?;
-    // Whether a drive leaves the road is part of what a validation tells.
+    // A validation also reports whether a drive leaves the road.
     if !args.setup.set.iter().any(|set| set.trim_start().starts_with("collision.enabled")) {
         layers.put("validate", "collision.enabled", true)?;
     }
@@ -27,7 +27,7 @@ pub(crate) fn validate(args: &ValidateArgs, services: Services) -> Result<EndedR
     let rows = if sets.is_empty() { config.paper_rows().len() } else { sets.len() };
     if rows == 0 {
         let why = no_paper_gains(&config);
-        return Err(Failure::User(format!("{why}; name some with --gains {}", list(&config))));
+        return Err(Failure::User(format!("{why}; give some with --gains {}", list(&config))));
     }
     fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
     let plan = plan(&config, SweepKind::Validate, args.repeats, &sets);
@@ -41,7 +41,7 @@ pub(crate) fn validate(args: &ValidateArgs, services: Services) -> Result<EndedR
 pub(crate) fn grid(args: &GridArgs, services: Services) -> Result<EndedRun, Failure> {
     let mut config = setup::layers(args.maneuver.as_deref(), &args.setup, None)?.resolve()?;
     if config.noise.enabled {
-        let why = "noise.enabled: a grid is driven without noise; leave it out";
+        let why = "noise.enabled: a grid is driven without noise; leave this key out";
         return Err(Failure::User(why.to_owned()));
     }
     let sets = parse_sets(&args.gains, &config)?;
@@ -55,12 +55,12 @@ pub(crate) fn grid(args: &GridArgs, services: Services) -> Result<EndedRun, Fail
     sweep(&args.setup, config, services, plan, Kind::named("grid"))
 }
 
-/// A fleet in which as many drives as possible are made at once, unless the user wants another.
+/// Makes the fleet large enough for as many drives as possible at once, unless the user has chosen its size.
 fn fill_fleet(config: &mut RunConfig, args: &SetupArgs, drives: usize) {
     config.run.fleet = args.fleet.unwrap_or(drives.min(MAX_FLEET) as u32);
 }
 
-/// Parses the values of `--gains`: each a set for all manoeuvres of the path, or one for each of them.
+/// Parses the values of `--gains`: each is one set for all manoeuvres of the path, or one set for each of them.
 pub(crate) fn parse_sets(
     gains: &[String],
     config: &RunConfig,
@@ -83,7 +83,7 @@ pub(crate) fn parse_sets(
         .collect()
 }
 
-/// Why there is no row of the paper's to be driven.
+/// Says why there are no gains of the paper to drive.
 pub(crate) fn no_paper_gains(config: &RunConfig) -> String {
     match &*config.law.name {
         "paper" => "the paper has no gains for this path".to_owned(),
@@ -91,12 +91,12 @@ pub(crate) fn no_paper_gains(config: &RunConfig) -> String {
     }
 }
 
-/// The numbers of a set, as they are typed behind `--gains`.
+/// The names of a set's numbers, as they are typed after `--gains`.
 pub(crate) fn list(config: &RunConfig) -> String {
     config.law.symbol_list()
 }
 
-/// A list of drives with these sets, as it is written for the pipeline.
+/// The list of drives with these sets, in the form in which the pipeline reads it.
 pub(crate) fn plan(
     config: &RunConfig,
     kind: SweepKind,
@@ -107,13 +107,13 @@ pub(crate) fn plan(
     SweepPlan { kind, repeats, realtime: false, sets: sets.iter().map(named).collect() }
 }
 
-/// What is particular to a command that makes the drives of a plan.
+/// What is specific to a command that makes the drives of a plan.
 pub(crate) struct Kind<'a> {
     /// Its name.
     pub(crate) name: &'a str,
-    /// One of our services in the vehicle's role, if it is not to be the usual one: `--adapter`.
+    /// The service in the vehicle's role, if it is not the usual one: `--adapter`.
     pub(crate) vehicle: Option<&'a str>,
-    /// Said before the first drive.
+    /// Printed before the first drive.
     pub(crate) note: Option<&'a str>,
 }
 
@@ -123,7 +123,7 @@ impl<'a> Kind<'a> {
     }
 }
 
-/// Makes the drives of a plan, and prints what they have come to.
+/// Makes the drives of a plan, and prints their results.
 pub(crate) fn sweep(
     args: &SetupArgs,
     config: RunConfig,
@@ -136,12 +136,12 @@ pub(crate) fn sweep(
         services
             .named(Role::Vehicle, name)
             .map_err(|why| Failure::User(format!("--adapter {name}: {why}")))?;
-        // Only our simulator repeats itself.
+        // Only our simulator is deterministic.
         launch.fill(Role::Vehicle, name, name == services.usual(Role::Vehicle).name);
     }
     let name = format!("{}-{}", kind.name, config.maneuver);
     let ready = setup::prepare(args, config, launch, services, Some(plan), Folder::New(&name))?;
-    // Behind every check of what the user asked for: a mistake is told in one line.
+    // Printed after all checks of the user's options: a mistake is reported in a single line.
     if let Some(note) = kind.note.filter(|_| !ready.plan.quiet) {
         tell!("{note}");
     }

@@ -14,10 +14,10 @@ use crate::runs::running::run_or_unmake;
 use crate::runs::setup::{self, Folder};
 use crate::words::Failure;
 
-/// Trains a manoeuvre to its end, or goes on with a training that was interrupted.
+/// Runs a training to its end, or resumes one that was interrupted.
 ///
 /// # Errors
-/// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
+/// On a user's mistake, before anything is started; if the pipeline cannot be kept alive.
 pub(crate) fn train(args: &TrainArgs, services: Services) -> Result<EndedRun, Failure> {
     let (config, launch) = match &args.resume {
         Some(folder) => resolved_before(folder, services)?,
@@ -36,7 +36,7 @@ pub(crate) fn train(args: &TrainArgs, services: Services) -> Result<EndedRun, Fa
 /// The configuration and processes of a training that was interrupted.
 fn resolved_before(folder: &Path, services: Services) -> Result<(RunConfig, Launch), Failure> {
     if folder.join(SweepPlan::FILE).exists() {
-        let problem = "not a training; validations and grids are driven anew";
+        let problem = "not a training; start a validation or a grid from the beginning instead";
         return Err(Failure::User(format!("--resume {}: {problem}", folder.display())));
     }
     let (config, launch) = of_earlier_start(folder, "--resume", "no training to go on with")?;
@@ -61,7 +61,7 @@ fn resolve_config(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failur
     if args.noise {
         layers.put("--noise", "noise.enabled", true)?;
     }
-    // Drives of a vehicle that does not repeat itself must not be taken for each other.
+    // Drives of a vehicle that is not deterministic must not stand in for each other.
     let repeats = launch.process.iter().all(|entry| entry.is_deterministic());
     if args.no_memo || !repeats {
         layers.put("--no-memo", "run.memo", false)?;

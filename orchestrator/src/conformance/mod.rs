@@ -1,8 +1,8 @@
 //! `pathtune conformance`: whether a program keeps to the vehicle's part of the contract.
 //!
-//! It runs alone on a bus of its own. Orchestrator, supervisor and recorder are played by the `stand`; what is
-//! asked of it lies in one table, `checks`, and each check fails for its own reason: what another one needs is
-//! not blamed twice.
+//! The program runs alone on a bus of its own. The `stand` plays the orchestrator, the supervisor and the recorder.
+//! What is asked of the program is listed in one table, `checks`. Each check fails for its own reason only: where one
+//! has failed, those that depend on it do not report the same fault again.
 
 mod checks;
 mod credits;
@@ -35,10 +35,10 @@ use crate::words::terminal::say;
 use checks::{Findings, Verdict};
 use stand::{MAX_SLOTS, Stand};
 
-/// Checks a vehicle; whether nothing failed.
+/// Checks a vehicle; returns whether nothing failed.
 ///
 /// # Errors
-/// The user's mistakes; if the stand itself fails.
+/// On a user's mistake, or if the stand itself fails.
 pub(crate) fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
     let interrupted = Interrupts::new()?;
     let config = resolve(args)?;
@@ -85,7 +85,7 @@ fn examine(args: &ConformanceArgs, stand: &mut Stand, to: &mut Findings) -> Resu
     if !life::becomes_ready(stand, to)? {
         return life::ends(stand, to);
     }
-    // A car of its own pace is taken as what it says it is.
+    // A vehicle that sets its own pace is taken at its word.
     let wanted = stand.realtime;
     let says_so = ipc_types::has(stand.told().pacing, Status::REAL_TIME);
     stand.realtime |= says_so;
@@ -102,7 +102,7 @@ fn examine(args: &ConformanceArgs, stand: &mut Stand, to: &mut Findings) -> Resu
         } else {
             to.skip(
                 checks::REAL_TIME_ALONE,
-                "the vehicle drives in lockstep; --realtime asks for the other",
+                "the vehicle drives in lockstep; --realtime asks for real time",
             );
             protocol::check(stand, to)?;
             credits::check(stand, to)?;
@@ -149,10 +149,10 @@ fn resolve(args: &ConformanceArgs) -> Result<RunConfig, Failure> {
     Ok(layers.resolve()?)
 }
 
-/// Characters of what was seen that a row shows; of a failure, all of it is told below.
+/// How many characters of what was seen a row shows. For a failure, the full text follows below the table.
 const SEEN_WIDTH: usize = 60;
 
-/// Prints what was found; whether nothing failed.
+/// Prints what was found; returns whether nothing failed.
 fn tell(args: &ConformanceArgs, findings: &Findings, folder: &Path) -> Result<bool, Failure> {
     let count = |verdict| findings.rows().filter(|(_, it, _)| *it == verdict).count();
     let failed = count(Verdict::Fail);
@@ -190,13 +190,13 @@ fn tell(args: &ConformanceArgs, findings: &Findings, folder: &Path) -> Result<bo
         say!("{}: {} ({seen}); {}", check.id, check.name, check.mend);
     }
     if failed > 0 && !log.is_empty() {
-        say!("its log ends: {}", log.join(" | "));
+        say!("its log ends with: {}", log.join(" | "));
     }
     say!("{} passed, {failed} failed, {} skipped", count(Verdict::Pass), count(Verdict::Skipped));
     Ok(failed == 0)
 }
 
-/// The folder, removed with this unless the user named it.
+/// The folder, which is removed when this is dropped, unless the user named it.
 struct Folder(std::path::PathBuf, bool);
 
 impl Drop for Folder {

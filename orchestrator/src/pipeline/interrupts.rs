@@ -1,4 +1,4 @@
-//! Signals that ask for the end.
+//! Signals that ask the orchestrator to stop.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -7,7 +7,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::words::Failure;
 
-/// Signals that ask for the end.
+/// Signals that ask the orchestrator to stop.
 #[derive(Debug, Clone)]
 pub(crate) struct Interrupts(Arc<AtomicUsize>);
 
@@ -21,7 +21,7 @@ impl Interrupts {
         Ok(Self(last))
     }
 
-    /// The one that came last, if any did.
+    /// The signal that came last, if any did.
     pub(crate) fn signal(&self) -> Option<i32> {
         match self.0.load(Ordering::Relaxed) {
             0 => None,

@@ -1,4 +1,4 @@
-//! The loop that joins everything: hears the processes, sequences the drives, restarts what died.
+//! The loop that joins everything: it listens to the processes, sequences the drives, and restarts what died.
 //!
 //! [`Pipeline::run_to_end`] is the main loop.
 
@@ -32,18 +32,18 @@ use crate::pipeline::sequencer::Sequencer;
 use crate::runs::state::RunState;
 use crate::words::Failure;
 
-/// A batch without a tick for so long has lost a message; progress is told with each sign of life.
+/// A batch without a tick for this long has lost a message; each sign of life reports progress.
 const STALLED_AFTER_NS: u64 = 500_000_000;
-/// Stalls of one batch in a row before it is given up: what repairs a lost message has then not helped, and
-/// will not.
+/// How many stalls in a row of one batch end the run: driving it again repairs a lost message, but by then it has not
+/// helped, and will not.
 const STALLS_IN_A_ROW: u32 = 100;
-/// A process that was asked to stop gets this long.
+/// How long a process may take to stop.
 const STOPS_WITHIN: Duration = Duration::from_secs(5);
 /// Longest sleep of the orchestrator: deaths and messages wake it, deadlines do not.
 const NAP_NS: i64 = 20_000_000;
-/// Between two looks at what a vehicle in real time warns of.
+/// Time between two looks for warnings of a vehicle in real time.
 const WARN_EVERY_NS: u64 = 1_000_000_000;
-/// Between two looks at the children while messages flow.
+/// Time between two checks for dead children while messages flow.
 const REAP_EVERY_NS: u64 = 1_000_000;
 
 /// A running pipeline.
@@ -62,15 +62,15 @@ pub(crate) struct Pipeline<'a> {
     sequencer: Sequencer,
     progress: &'a mut Progress,
     interrupted: Interrupts,
-    /// The vehicle must pace by the clock. Then nothing is driven again: who was restarted joins.
+    /// The vehicle must pace by the clock. Then nothing is driven again: a restarted process joins the drive.
     realtime: bool,
     /// The vehicle does pace by the clock.
     by_clock: bool,
-    /// State of the gate of each slot, as it was told last.
+    /// State of the gate of each slot, as reported last.
     gates: Vec<u32>,
-    /// Somebody of the ring died, or a message was lost: the batch under way will not end.
+    /// A process of the ring died, or a message was lost: the batch under way will not end.
     batch_is_broken: bool,
-    /// The latest batch and tick that anybody reported, and when anybody's last changed.
+    /// The latest batch and tick that any process reported; `seen_ns` is when that of any process last changed.
     seen: (u64, u64),
     seen_ns: u64,
     /// Attempts at the batch under way that stalled.
@@ -81,7 +81,7 @@ pub(crate) struct Pipeline<'a> {
     state_file: StateFile,
     /// The trainer has written its outcome.
     is_over: bool,
-    /// When the batch under way was issued; time and ticks of all batches before.
+    /// When the batch under way was issued; then the time and ticks of all earlier batches.
     issued_ns: u64,
     driving_ns: u64,
     driving_ticks: u64,
@@ -105,7 +105,7 @@ impl<'a> Pipeline<'a> {
         let bus = Bus::create(names, max_len)?.waiting(placement.wait);
         let cores: Vec<String> = placement.cores().map(|core| core.to_string()).collect();
         if !cores.is_empty() {
-            // Observers leave them alone.
+            // Observers do not touch them.
             let _ = fs::write(names.root.join(CORE_FILE), cores.join(" "));
         }
         tracing::info!(waiting = placement.wait.name(), ?cores, "placed");
@@ -117,7 +117,7 @@ impl<'a> Pipeline<'a> {
                 RandomKills::new(script.random_per_s, *seed)
             }
         };
-        // Each drive of a list goes by a number of its own.
+        // Each drive of a list has a learner's number of its own.
         let learners = if plan.sweep.is_some() { u32::MAX } else { config.learners() as u32 };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
@@ -212,7 +212,7 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// Signs of life: who is ready, and who still is.
+    /// Takes signs of life: which processes are ready, and still alive.
     fn hear_status(&mut self) -> Result<bool, Failure> {
         let mut heard = false;
         while let Some(message) = self.status.receive()? {
@@ -228,14 +228,14 @@ impl<'a> Pipeline<'a> {
             };
             let Status { dropped, rejected, late, .. } = status;
             member.refused = RefusedSamples { dropped, rejected, late };
-            // Each against itself: they stand at different ticks, even when all stand still.
+            // Each process is compared with itself: they are at different ticks even when all have stopped.
             if (status.batch, status.tick) != member.seen {
                 member.seen = (status.batch, status.tick);
                 self.seen = self.seen.max(member.seen);
                 self.seen_ns = now_ns();
             }
             if self.realtime && member.is_ready() {
-                // There are no batches whose end could show that all is well.
+                // There are no ends of batches that would show that all is well.
                 member.policy.works();
             }
             if member.beat(now_ns()) {
@@ -250,7 +250,7 @@ impl<'a> Pipeline<'a> {
                         self.by_clock = true;
                     } else if self.realtime {
                         let why = "--realtime: the vehicle waits for commands instead of pacing by the clock \
-                                   (its Status lacks REAL_TIME); leave the option out, or see ipc_types/CONTRACT.md";
+                                   (its Status lacks REAL_TIME); omit the option, or see ipc_types/CONTRACT.md";
                         return Err(Failure::User(why.to_owned()));
                     }
                 }
@@ -259,7 +259,7 @@ impl<'a> Pipeline<'a> {
         Ok(heard)
     }
 
-    /// What the trainer wants, and where it stands.
+    /// Takes the trainer's proposals and its progress.
     fn hear_trainer(&mut self) -> Result<bool, Failure> {
         if let Some(progress) = self.learner_progress.receive_newest()? {
             let flags = progress.header().flags;
@@ -282,7 +282,7 @@ impl<'a> Pipeline<'a> {
         Ok(heard)
     }
 
-    /// Reports of batches that have ended.
+    /// Takes the reports of batches that have ended.
     fn hear_controller(&mut self) -> Result<bool, Failure> {
         let mut heard = false;
         while let Some(message) = self.reports.receive()? {
@@ -302,7 +302,7 @@ impl<'a> Pipeline<'a> {
         Ok(heard)
     }
 
-    /// Tells the user where a gate has stopped its vehicle, or lets it drive again.
+    /// Tells the user when a gate has stopped its vehicle, or lets it drive again.
     fn hear_gate(&mut self) -> Result<bool, Failure> {
         let mut heard = false;
         while let Some(message) = self.safety.receive()? {
@@ -322,7 +322,7 @@ impl<'a> Pipeline<'a> {
                     }
                     Safety::STOPPED => {
                         self.progress.notice(&format!("vehicle {slot} stands"));
-                        // In a training nobody rearms: the drive is made again from the start.
+                        // In a training there is nobody to rearm the vehicle: the drive is made again from the start.
                         self.batch_is_broken |=
                             self.by_clock && !self.realtime && self.sequencer.is_driving();
                     }
@@ -343,7 +343,7 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// Issues the next batch, or the broken one again, once everybody is ready.
+    /// Issues the next batch, or reissues the broken one, once all processes are ready.
     fn drive(&mut self) -> Result<(), Failure> {
         if !self.members.iter().all(Member::is_ready) {
             return Ok(());
@@ -368,9 +368,9 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// A batch without a tick for so long has lost a message: it is driven again.
+    /// Drives a batch again if it has stalled: without a tick for so long, it has lost a message.
     ///
-    /// A vehicle that may take its time to come to the start is waited for until its first tick.
+    /// A vehicle that may take its time to come to the start has no such deadline for its first tick.
     fn look_after_batch(&mut self) -> Result<(), Failure> {
         let now = now_ns();
         self.state_file.write(now, &self.members, &self.sequencer, self.seen);
@@ -408,7 +408,7 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// Passes on what the vehicle warns of: in real time it may wait for something that only the user can bring.
+    /// Passes on the vehicle's warnings: in real time it may be waiting for something that only the user can provide.
     fn tell_warnings(&mut self) {
         for member in self.members.iter_mut().filter(|it| it.entry.role == Role::Vehicle) {
             for warning in member.new_warnings() {
@@ -417,7 +417,7 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// Starts who is due, in order; replaces who died or froze.
+    /// Starts the processes that are due, in order; replaces those that died or froze.
     fn look_after_members(&mut self) -> Result<(), Failure> {
         let now = now_ns();
         if now - self.reaped_ns < REAP_EVERY_NS {
@@ -440,7 +440,7 @@ impl<'a> Pipeline<'a> {
                 self.replace(index, &why)?;
             }
         }
-        // One at a time: a starter's half-made files must be nobody else's.
+        // One at a time, so that half-made files can only belong to the process that is starting.
         let Some(member) = self.members.iter_mut().find(|member| !member.is_ready()) else {
             return Ok(());
         };
@@ -452,7 +452,7 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// A process died, froze or did not become ready: removes what it left, and decides what comes next.
+    /// A process died, froze or did not become ready: removes what it left, and decides what to do next.
     fn replace(&mut self, index: usize, why: &str) -> Result<(), Failure> {
         let member = &mut self.members[index];
         if let Some(process) = member.state.process() {
@@ -474,7 +474,7 @@ impl<'a> Pipeline<'a> {
         };
         self.progress.notice(&format!("{} (pid {pid}) {why}; it is restarted", member.name));
         member.state = State::Down { due_ns: now_ns() + wait.as_nanos() as u64 };
-        // The clean-up took a while, in which nobody was heard: no reason to take others for frozen.
+        // The clean-up took a while, during which no messages were read: do not take other processes for frozen.
         self.hear_status()?;
         Ok(())
     }
@@ -500,7 +500,7 @@ impl<'a> Pipeline<'a> {
         self.reaped_ns = 0;
     }
 
-    /// Stops everybody, the last started first.
+    /// Stops all processes, the last started first.
     fn stop_all(&mut self) {
         for member in self.members.iter_mut().rev() {
             if let Some(process) = member.state.process()
@@ -513,10 +513,10 @@ impl<'a> Pipeline<'a> {
     }
 }
 
-/// What is wrong with a vehicle, from the bits of [`Safety::reasons`].
+/// Describes what is wrong with a vehicle, from the bits of [`Safety::reasons`].
 pub(crate) fn describe_reasons(reasons: u32) -> String {
     let words = [
-        (Safety::COMMAND_STALE, "no answer of the controller"),
+        (Safety::COMMAND_STALE, "no answer from the controller"),
         (Safety::COMMAND_INVALID, "the controller's answer is not finite"),
         (Safety::ODOMETRY_STALE, "no odometry"),
         (Safety::ODOMETRY_INVALID, "the odometry is not finite"),
@@ -536,7 +536,7 @@ struct StateFile {
 }
 
 impl StateFile {
-    /// Between two writes.
+    /// Time between two writes.
     const EVERY_NS: u64 = 200_000_000;
 
     fn new(names: &RunNames, plan: &Plan) -> Self {
@@ -562,12 +562,12 @@ impl StateFile {
         (state.batch, state.attempt) = (sequencer.batch(), sequencer.attempt());
         state.tick = if seen.0 == state.batch { seen.1 } else { 0 };
         state.processes = members.iter().map(Member::state).collect();
-        // Only for people to look at: a failure is no reason to stop a training.
+        // Only people read it: a failure to write it is no reason to stop a training.
         let _ = state.write(&self.path);
     }
 }
 
-/// The orchestrator's own log, beside those of its processes.
+/// The orchestrator's own log, in the same folder as those of its processes.
 pub(crate) fn log_of_orchestrator(folder: &Path) -> PathBuf {
     folder.join("logs").join("orchestrator.log")
 }

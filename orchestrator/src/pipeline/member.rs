@@ -1,4 +1,4 @@
-//! One process of the pipeline over its starts and deaths: state, signs of life, what is wrong with it.
+//! One process of the pipeline across its starts and deaths: its state, its signs of life, and what is wrong with it.
 
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -18,9 +18,9 @@ use crate::words::Failure;
 
 /// A process must be ready this soon after its start: it opens a dozen files.
 const READY_WITHIN_NS: u64 = 5_000_000_000;
-/// A ready process that shows no sign of life for this long is taken for frozen: five beats.
+/// A ready process that gives no sign of life for this long, which is five beats, is taken for frozen.
 const BEATS_WITHIN_NS: u64 = 500_000_000;
-/// Exit code of a process that ends for a mistake of the user's.
+/// Exit code of a process that ends because of a user's mistake.
 const USERS_MISTAKE: i32 = 64;
 
 /// A process of the pipeline, alive or not.
@@ -33,23 +33,23 @@ pub(crate) struct Member {
     pub(crate) policy: RestartPolicy,
     pub(crate) incarnation: u64,
     pub(crate) pid: u32,
-    /// Batch and tick that it reported last.
+    /// The batch and tick that it reported last.
     pub(crate) seen: (u64, u64),
-    /// What it has warned of, without the numbers in it.
+    /// What it has warned of, with the numbers removed.
     warned: HashSet<String>,
-    /// Samples that its incarnations before this one did not take, and those of this one.
+    /// Samples that its earlier incarnations refused; `refused` has those of this one.
     refused_before: RefusedSamples,
     pub(crate) refused: RefusedSamples,
 }
 
-/// Samples that a process did not take.
+/// Samples that a process refused.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct RefusedSamples {
     /// They did not match run, batch, attempt and tick.
     pub(crate) dropped: u64,
     /// They were not finite or out of range.
     pub(crate) rejected: u64,
-    /// They came too late, in real time.
+    /// They came too late (in real time).
     pub(crate) late: u64,
 }
 
@@ -121,8 +121,8 @@ impl Member {
         matches!(self.state, State::Ready { .. })
     }
 
-    /// Which process of the ring it is, counted along it. Only the ring has cores: the trainer works while the ring
-    /// rests, the recorder beside it.
+    /// Its place in the ring, if it belongs to it. Only the ring has cores: the trainer works while the ring
+    /// rests, and the recorder runs elsewhere.
     fn place_in_ring(&self) -> Option<usize> {
         match self.entry.role {
             Role::Vehicle => Some(0),
@@ -157,7 +157,7 @@ impl Member {
         Ok(())
     }
 
-    /// Notes a sign of life. Whether it was the first.
+    /// Notes a sign of life; returns whether it was the first.
     pub(crate) fn beat(&mut self, now_ns: u64) -> bool {
         match std::mem::replace(&mut self.state, State::Down { due_ns: now_ns }) {
             State::Starting { process, .. } => {
@@ -175,7 +175,7 @@ impl Member {
         }
     }
 
-    /// What is wrong with the process, if anything is.
+    /// What is wrong with the process, if anything.
     pub(crate) fn trouble(&mut self, now_ns: u64) -> Option<String> {
         if let Some(status) = self.state.process()?.try_wait() {
             return Some(describe(status));
@@ -185,14 +185,14 @@ impl Member {
                 Some(format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000))
             }
             State::Ready { beat_ns, .. } if now_ns.saturating_sub(*beat_ns) > BEATS_WITHIN_NS => {
-                Some(format!("showed no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000))
+                Some(format!("gave no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000))
             }
             _ => None,
         }
     }
 
-    /// The user's mistake for which the process ended at its first start, in its own last words: another start would end
-    /// in the same.
+    /// The user's mistake because of which the process ended at its first start, in its own last words. Another start
+    /// would end the same way.
     pub(crate) fn mistake(&mut self) -> Option<Failure> {
         if self.incarnation > 1 || self.state.process()?.try_wait()?.code() != Some(USERS_MISTAKE) {
             return None;
@@ -202,10 +202,10 @@ impl Member {
         Some(Failure::User(format!("{}: {said}", self.name)))
     }
 
-    /// What this incarnation warns of in its log, each once, however the numbers in it change.
+    /// New warnings in the log of this incarnation, each reported once, even if the numbers in it change.
     pub(crate) fn new_warnings(&mut self) -> Vec<String> {
         let lines = last_lines(&self.log, 20);
-        // Behind the time, the level and who it comes from.
+        // After the time, the level and the source.
         let warnings = lines.iter().filter_map(|line| {
             let (_, rest) = line.split_once(" WARN ")?;
             Some(rest.split_once(": ").map_or(rest, |(_, text)| text).to_owned())
@@ -219,7 +219,7 @@ impl Member {
         let lines = last_lines(&self.log, 5);
         let said = if lines.is_empty() { "nothing".to_owned() } else { lines.join(" | ") };
         Failure::GaveUp(format!(
-            "gave up: the {} {why}, too often in too short a time; it said last: {said}; \
+            "gave up: the {} {why}, too often in too short a time; its last words: {said}; \
              look into {}",
             self.name,
             self.log.display(),
@@ -235,7 +235,7 @@ impl Member {
         ProcessState { state: state.to_owned(), facts: self.facts() }
     }
 
-    /// Samples that no incarnation took, as far as they told.
+    /// Samples that all incarnations refused, as far as they reported them.
     fn all_refused(&self) -> RefusedSamples {
         self.refused_before.and(self.refused)
     }

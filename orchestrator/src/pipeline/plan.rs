@@ -1,4 +1,4 @@
-//! What a pipeline is made of, and what is known of it at its end.
+//! What a pipeline is made of, and what is known about it at its end.
 
 use std::path::PathBuf;
 
@@ -13,27 +13,27 @@ use crate::pipeline::restart::Budget;
 use crate::pipeline::sequencer::DriveCounts;
 use crate::pipeline::services::Services;
 
-/// What a pipeline is made of: checked, so that only the machine can still keep it from running.
+/// What a pipeline is made of. It has been checked, so that only the machine can still prevent it from running.
 pub(crate) struct Plan {
     pub(crate) config: RunConfig,
     pub(crate) launch: Launch,
-    /// Our own services, for the roles that no command fills.
+    /// Our own services, for the roles that no command of the user's fills.
     pub(crate) services: Services,
     /// What is driven instead of a training.
     pub(crate) sweep: Option<SweepPlan>,
     pub(crate) folder: PathBuf,
     pub(crate) budget: Budget,
-    /// Faults on purpose: the script with its seed.
+    /// Faults to inject: the script with its seed.
     pub(crate) chaos: Option<(String, u64)>,
     pub(crate) quiet: bool,
-    /// How the ring waits, if somebody has said.
+    /// How the ring waits, if the user has chosen.
     pub(crate) wait: Option<Wait>,
-    /// Priority of first-in-first-out scheduling of the ring, if it was asked for.
+    /// Priority of first-in-first-out scheduling for the ring, if requested.
     pub(crate) fifo: Option<u8>,
     pub(crate) interrupted: Interrupts,
 }
 
-/// What only the orchestrator knows of a pipeline that has come to its end.
+/// What only the orchestrator knows about a pipeline that has ended.
 #[derive(Debug)]
 pub(crate) struct PipelineFacts {
     pub(crate) counts: DriveCounts,

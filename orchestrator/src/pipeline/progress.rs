@@ -1,7 +1,8 @@
 //! What a user sees while a training runs.
 //!
-//! A terminal that is held, or a pipe that nobody reads, may keep a writer for ever. So a thread of its own writes, and the
-//! loop that restarts the dead waits for nobody: what the thread cannot take is left out, and stands in the log.
+//! A suspended terminal, or a pipe that nobody reads, may block a writer for ever. So a separate thread writes, and the
+//! main loop, which must restart dead processes, never waits for it: what the thread cannot take is not shown, but it
+//! is in the log.
 
 use std::io::IsTerminal;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
@@ -14,27 +15,27 @@ use ipc_types::{LearnerProgress, has};
 use crate::pipeline::sequencer::DriveCounts;
 use crate::words::terminal::tell;
 
-/// How often the terminal is drawn anew.
+/// How often the terminal is redrawn.
 const REDRAW: Duration = Duration::from_millis(100);
 /// How often a line is written where there is no terminal.
 const LINE: Duration = Duration::from_secs(2);
 
-/// Words that wait to be written; more are left out.
+/// How many messages may wait to be written; further ones are left out.
 const WAITING: usize = 256;
-/// How long the last ones are waited for at the end.
+/// How long to wait at the end for the last ones to be written.
 const PATIENCE: Duration = Duration::from_millis(500);
 
 /// What a user sees while a training runs.
 pub(crate) struct Progress {
-    /// To the thread that writes; none if nothing is to be seen.
+    /// Leads to the thread that writes; `None` if nothing is to be shown.
     words: Option<SyncSender<Words>>,
-    /// Ends when that thread does.
+    /// Disconnected when that thread ends.
     written: Receiver<()>,
     is_terminal: bool,
     started: Instant,
     shown: Instant,
     tick_s: f64,
-    /// Name of what drives are judged by.
+    /// Name of the objective.
     objective: String,
 }
 
@@ -108,7 +109,7 @@ impl Progress {
         )
     }
 
-    /// Shows where a batch stands that lasts long.
+    /// Shows the progress of a batch that takes long.
     pub(crate) fn show_tick(&mut self, tick: u64, ticks: u64) {
         if self.words.is_none() || self.shown.elapsed() < LINE {
             return;
@@ -118,7 +119,7 @@ impl Progress {
         self.put(Words::State { message, of: None });
     }
 
-    /// Clears the bar, once everything is written that can be.
+    /// Clears the bar, once everything that can be written is written.
     pub(crate) fn finish(&mut self) {
         if self.words.take().is_some() {
             let _ = self.written.recv_timeout(PATIENCE);
@@ -130,11 +131,11 @@ impl Progress {
 enum Words {
     /// A line that stays.
     Notice(String),
-    /// Where the training stands: what is done, of how much.
+    /// Progress of the training: how much is done, and of how much.
     State { message: String, of: Option<(u64, u64)> },
 }
 
-/// Writes whatever comes: a bar on a terminal, lines elsewhere.
+/// Writes what it receives: a bar on a terminal, lines elsewhere.
 fn write(words: &Receiver<Words>, is_terminal: bool) {
     let target =
         if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };

@@ -1,9 +1,9 @@
-//! Faults on purpose, and how long it takes until ticks flow again.
+//! Injected faults, and how long it takes until ticks flow again.
 
 use runtime::chaos::Spread;
 use serde::{Deserialize, Serialize};
 
-/// Kills at random: so many a second, exponentially spread.
+/// Random kills at a given mean rate, with exponentially distributed intervals.
 #[derive(Debug)]
 pub(crate) struct RandomKills {
     per_s: f64,
@@ -16,7 +16,7 @@ impl RandomKills {
         Self { per_s, spread: Spread::new(seed), due_ns: 0 }
     }
 
-    /// Which of `count` processes is to be killed now, if one is.
+    /// Which of `count` processes to kill now, if any.
     pub(crate) fn due(&mut self, now_ns: u64, count: usize) -> Option<usize> {
         if self.per_s <= 0.0 {
             return None;
@@ -29,37 +29,37 @@ impl RandomKills {
         due.then(|| (self.spread.uniform() * count as f64) as usize)
     }
 
-    /// When the next kill is due; never, if none are asked for.
+    /// When the next kill is due; `None` if no kills are asked for.
     pub(crate) fn next_ns(&self) -> Option<u64> {
         (self.per_s > 0.0).then_some(self.due_ns)
     }
 }
 
-/// Deaths and stalls of a run, and how long each kept the ticks from flowing.
+/// Deaths and stalls of a run, and how long each stopped the flow of ticks.
 #[derive(Debug, Default)]
 pub(crate) struct Recoveries {
     /// Faults that the orchestrator caused itself.
     pub(crate) killed_at_random: usize,
-    /// Batches that were driven again although nobody had died.
+    /// Batches that were driven again although no process had died.
     pub(crate) stalls: usize,
     since_ns: Option<u64>,
     times_ns: Vec<u64>,
 }
 
 impl Recoveries {
-    /// Something broke now, unless something was broken already.
+    /// Notes that something broke now, unless something was broken already.
     pub(crate) fn broken(&mut self, now_ns: u64) {
         self.since_ns.get_or_insert(now_ns);
     }
 
-    /// Ticks flow again.
+    /// Notes that ticks flow again.
     pub(crate) fn mended(&mut self, now_ns: u64) {
         if let Some(since_ns) = self.since_ns.take() {
             self.times_ns.push(now_ns - since_ns);
         }
     }
 
-    /// What they come to.
+    /// Their summary.
     pub(crate) fn sum_up(&self, scripted: usize) -> Recovery {
         let mut times_ns = self.times_ns.clone();
         times_ns.sort_unstable();
@@ -82,15 +82,15 @@ impl Recoveries {
 pub(crate) struct Recovery {
     /// Faults that were caused on purpose.
     pub(crate) injected: usize,
-    /// Batches that were driven again although nobody had died.
+    /// Batches that were driven again although no process had died.
     pub(crate) stalls: usize,
-    /// Times that ticks flowed again.
+    /// How many times ticks began to flow again.
     pub(crate) recoveries: usize,
     /// Milliseconds from a death to the next tick.
     pub(crate) death_to_tick_ms: DeathToTick,
 }
 
-/// Percentiles of a time; none where there was no recovery.
+/// Percentiles of a time; `None` if there was no recovery.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct DeathToTick {
     pub(crate) p50: Option<f64>,

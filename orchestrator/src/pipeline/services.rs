@@ -1,6 +1,6 @@
 //! Our own services: what `pathtune service NAME` runs, and which of them can fill a role.
 //!
-//! The table itself stands in the binary, beside its `main`: this library links no service.
+//! The table itself is in the binary, next to its `main`, because this library links no service.
 
 use config::launch::{Launch, ProcessEntry, Role};
 
@@ -12,11 +12,11 @@ use crate::words::{Failure, known};
 pub struct Service {
     /// Its name: `pathtune service NAME`.
     pub name: &'static str,
-    /// The role that it can fill; none of a helper.
+    /// The role that it can fill; `None` for a helper.
     pub role: Option<Role>,
-    /// Why this build has not got it, and what to do about that.
+    /// Why this build does not contain it, and what to do about that.
     pub missing: Option<&'static str>,
-    /// Runs it to its end; with the words behind its name.
+    /// Runs it to its end, with the words after its name.
     pub run: fn(&[String]) -> Result<(), Failure>,
 }
 
@@ -31,15 +31,15 @@ impl Service {
     }
 }
 
-/// The table of our own services. Of those that can fill a role, the first one usually does.
+/// The table of our own services. The first that can fill a role is the usual one for it.
 #[derive(Debug, Clone, Copy)]
 pub struct Services(pub &'static [Service]);
 
 impl Services {
-    /// Is this service, to its end.
+    /// Runs the service of this name to its end.
     ///
     /// # Errors
-    /// If there is none with this name; whatever ends it.
+    /// If there is no service of this name; otherwise, whatever error ends it.
     pub fn run(self, name: &str, words: &[String]) -> Result<(), Failure> {
         match self.0.iter().find(|service| service.name == name) {
             Some(service) => (service.run)(words),
@@ -50,18 +50,18 @@ impl Services {
         }
     }
 
-    /// The service that fills a role where nothing else is named.
+    /// The service that fills a role unless another one is named.
     ///
     /// # Panics
-    /// If no row of the table can fill it.
+    /// If no service in the table can fill it.
     pub fn usual(self, role: Role) -> &'static Service {
         self.filling(role).next().expect("the table has a service for each role")
     }
 
-    /// The service that fills a role by this name.
+    /// The service of this name, to fill a role.
     ///
     /// # Errors
-    /// If it cannot, or this build has not got it: what to do.
+    /// If it cannot fill the role, or this build does not contain it. The error says what to do.
     pub fn named(self, role: Role, name: &str) -> Result<&'static Service, String> {
         let Some(service) = self.filling(role).find(|service| service.name == name) else {
             let names = self.filling(role).map(|service| service.name);
@@ -74,7 +74,7 @@ impl Services {
         }
     }
 
-    /// Checks the services that a launch file names; `origin` names it in errors.
+    /// Checks the services that a launch file names; `origin` names the file in errors.
     pub(crate) fn check(self, origin: &str, launch: &Launch) -> Result<(), Failure> {
         for entry in launch.process.iter().filter(|entry| entry.command.is_none()) {
             if let Some(name) = &entry.service {
@@ -85,7 +85,7 @@ impl Services {
         Ok(())
     }
 
-    /// What an entry of a launch file that was checked runs.
+    /// The program that an entry of a checked launch file runs.
     pub(crate) fn program(self, entry: &ProcessEntry) -> Program {
         match (&entry.command, &entry.service) {
             (Some(command), _) => Program::Command(command.clone()),

@@ -1,4 +1,4 @@
-//! What a run's folder holds, read by those who come later.
+//! Reads what a run's folder holds, after the run.
 
 use std::fs;
 use std::path::Path;
@@ -10,21 +10,28 @@ use toml::Table;
 
 use crate::words::Failure;
 
-/// The resolved configuration of a run; `origin` says whose it is in errors.
+/// The resolved configuration of a run; `origin` names its source in errors.
 ///
 /// # Errors
-/// If an earlier version of pathtune resolved it, or it is none.
+/// If an earlier version of pathtune wrote it, or it is not a resolved configuration.
 pub fn resolved_config(origin: &str, text: &str) -> Result<RunConfig, Failure> {
     refuse_earlier(origin, text)?;
     Ok(RunConfig::from_resolved(text)
         .map_err(|error| ConfigError::new(origin, error.key, error.problem))?)
 }
 
-/// Refuses the resolved configuration of an earlier version of pathtune, which knew one law only and names none.
+/// Refuses the resolved configuration of an earlier version of pathtune, which knew only one law and does not name it.
 pub(crate) fn refuse_earlier(origin: &str, text: &str) -> Result<(), Failure> {
     match text.parse::<Table>() {
-        // What cannot be read at all is told by whoever reads it.
-        Ok(table) if table.contains_key("maneuver") && !table.contains_key("law") => {
+        // If it cannot be read at all, the code that reads it reports that.
+        // Only a resolved configuration holds all of the vehicle.
+        Ok(table)
+            if table.contains_key("maneuver")
+                && table
+                    .get("vehicle")
+                    .is_some_and(|vehicle| vehicle.get("wheelbase_m").is_some())
+                && !table.contains_key("law") =>
+        {
             Err(Failure::User(format!(
                 "{origin}: made by an earlier version of pathtune (it names no law); use that version for it, or run \
                  again"
@@ -34,7 +41,7 @@ pub(crate) fn refuse_earlier(origin: &str, text: &str) -> Result<(), Failure> {
     }
 }
 
-/// Refuses the folder of a run that an earlier version of pathtune made, by whatever it holds.
+/// Refuses the folder of a run that an earlier version of pathtune made, judging by the files in it.
 pub(crate) fn refuse_earlier_run(folder: &Path) -> Result<(), Failure> {
     let config = folder.join("config.toml");
     if let Ok(text) = fs::read_to_string(&config) {
@@ -46,8 +53,8 @@ pub(crate) fn refuse_earlier_run(folder: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Configuration and processes of a run in `folder`, which the user named with `option`; `missing` says what is wrong
-/// where it holds none.
+/// Configuration and processes of a run in `folder`, which the user named with `option`. `missing` is the error if the
+/// folder holds none.
 pub(crate) fn of_earlier_start(
     folder: &Path,
     option: &str,
@@ -84,7 +91,7 @@ mod tests {
         write("result.json", "{ \"schema\": 1, \"kind\": \"train\" }");
         check();
         write("result.json", "{}");
-        write("config.toml", "maneuver = \"lane_change\"\n[controller]\nlow_pass = 1\n");
+        write("config.toml", "maneuver = \"lane_change\"\n[vehicle]\nwheelbase_m = 2.875\n");
         check();
         let config = config::Layers::maneuver("lane_change").unwrap().resolve().unwrap();
         write("config.toml", &toml::to_string(&config).unwrap());

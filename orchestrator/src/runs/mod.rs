@@ -1,5 +1,5 @@
-//! What a run needs around its pipeline: checks of the machine, a folder, a result, and a place where other terminals
-//! find it.
+//! What a run needs in addition to its pipeline: checks of the machine, a folder, a result, and a place where other
+//! terminals find it.
 
 pub(crate) mod folder;
 pub(crate) mod preflight;

@@ -1,23 +1,23 @@
-//! `result.json`: what the trainer's role has found out, joined with what only the orchestrator knows.
+//! `result.json`: what the process in the trainer's role has found out, joined with what only the orchestrator knows.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use config::RunConfig;
-use outcome::{RESULT_FILE, Run, RunDrives, RunResult, read_decided, to_json};
+use outcome::{Drives, Outcome, RESULT_FILE, Run, RunDrives, RunResult, read_decided, to_json};
 
 use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::runs::running::RunFacts;
 use crate::words::terminal::{say, tell};
 use crate::words::{Failure, tables};
 
-/// A run that has come to its end.
+/// A run that has ended.
 #[derive(Debug)]
 pub struct EndedRun {
     /// Its folder.
     pub folder: PathBuf,
-    /// Standard output belongs to its JSON.
+    /// Standard output is reserved for its JSON.
     pub json: bool,
 }
 
@@ -25,7 +25,7 @@ pub struct EndedRun {
 pub(crate) fn conclude(plan: &Plan, facts: &RunFacts, json: bool) -> Result<EndedRun, Failure> {
     let result = write_result(&plan.folder, &plan.config, facts)?;
     if json {
-        // Byte for byte what the file holds.
+        // Byte for byte the content of the file.
         let bytes = to_json(&result);
         say!("{}", String::from_utf8_lossy(&bytes).trim_end());
     } else {
@@ -34,12 +34,13 @@ pub(crate) fn conclude(plan: &Plan, facts: &RunFacts, json: bool) -> Result<Ende
     Ok(EndedRun { folder: plan.folder.clone(), json })
 }
 
-/// Joins the outcome with what only the orchestrator knows, and writes `result.json`, by rename: whoever reads it reads
-/// all of it.
+/// Joins the outcome with what only the orchestrator knows, and writes `result.json`, by rename, so that nobody reads
+/// half of it.
 fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) -> Result<RunResult, Failure> {
     let decided = read_decided(folder).map_err(anyhow::Error::from)?;
     let run = of_run(config, facts)?;
     let result = RunResult {
+        drives: drives_of(&decided.outcome, config),
         processes: run.processes.clone(),
         real_time_factor: run.real_time_factor,
         decided,
@@ -51,6 +52,18 @@ fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) -> Result<R
         .and_then(|()| fs::rename(&part, &path))
         .with_context(|| format!("failed to write {path:?}"))?;
     Ok(result)
+}
+
+/// The drives that a run comes to, whichever process had to make them again.
+fn drives_of(outcome: &Outcome, config: &RunConfig) -> Drives {
+    let all = |count: u64| Drives { asked: count, driven: count };
+    match outcome {
+        Outcome::Train(it) if config.run.memo => Drives { asked: it.asked, driven: it.distinct },
+        Outcome::Train(it) => all(it.asked),
+        Outcome::Validate(it) => all(it.rows.len() as u64 * (1 + it.repeats)),
+        Outcome::Grid(it) => all((it.size + it.sets.len()) as u64),
+        Outcome::Drive(_) => all(1),
+    }
 }
 
 fn of_run(config: &RunConfig, facts: &RunFacts) -> Result<Run, Failure> {
@@ -83,7 +96,7 @@ pub(crate) fn name_files(ended: &EndedRun, report: Result<PathBuf, String>) -> R
     let here = std::env::current_dir().unwrap_or_default();
     let near = |path: &Path| path.strip_prefix(&here).unwrap_or(path).display().to_string();
     match (report, ended.json) {
-        // The result stands, whatever becomes of its pictures.
+        // The result is valid even if its pictures cannot be drawn.
         (Err(why), _) => tell!("pathtune: no report: {why}"),
         (Ok(_), true) => {}
         (Ok(report), false) => {

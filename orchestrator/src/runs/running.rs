@@ -1,4 +1,4 @@
-//! A planned pipeline, run to its end.
+//! Runs a planned pipeline to its end.
 
 use std::fs::{self, File, OpenOptions};
 use std::path::Path;
@@ -16,14 +16,14 @@ use crate::runs::preflight;
 use crate::runs::setup::Ready;
 use crate::words::Failure;
 
-/// What only the orchestrator knows of a run.
+/// What only the orchestrator knows about a run.
 pub(crate) struct RunFacts {
     pub(crate) started_at: Timestamp,
     pub(crate) ended_at: Timestamp,
     pub(crate) pipeline: PipelineFacts,
 }
 
-/// Runs a plan. If that fails by the user's mistake, a folder that is `new` is removed again.
+/// Runs a plan. If that fails because of a user's mistake, a folder that is `new` is removed again.
 pub(crate) fn run_or_unmake(ready: &Ready, new: bool) -> Result<RunFacts, Failure> {
     run(&ready.plan).inspect_err(|failure| {
         if new && matches!(failure, Failure::User(_)) {
@@ -32,7 +32,7 @@ pub(crate) fn run_or_unmake(ready: &Ready, new: bool) -> Result<RunFacts, Failur
     })
 }
 
-/// Runs the pipeline; whatever happens, nothing of it stays in shared memory.
+/// Runs the pipeline. Whatever happens, nothing of it remains in shared memory.
 pub(crate) fn run(plan: &Plan) -> Result<RunFacts, Failure> {
     let started_at = Timestamp::now();
     let names = PrivateNames::create()?;
@@ -59,10 +59,10 @@ pub(crate) fn run(plan: &Plan) -> Result<RunFacts, Failure> {
     Ok(RunFacts { started_at, ended_at: Timestamp::now(), pipeline })
 }
 
-/// The names of a run on this machine. Everything below them is removed with this.
+/// The names of a run on this machine. When this is dropped, everything below them is removed.
 pub(crate) struct PrivateNames {
     pub(crate) names: RunNames,
-    /// Held until the end: as long as it is, nobody sweeps this run away.
+    /// Held until the end: while it is held, nobody removes this run as dead.
     _lock: File,
 }
 

@@ -28,7 +28,7 @@ pub(crate) fn layers(
         (Some(maneuver), _) => Layers::maneuver(maneuver)?,
         (None, Some(_)) => Layers::own_path(),
         (None, None) => match &args.config {
-            // A resolved configuration says whose it is.
+            // A resolved configuration names its own manoeuvre.
             Some(file) => Layers::of_document(&read(file, "--config")?)?,
             None => {
                 let why = "name a manoeuvre, or a path with --path FILE";
@@ -36,28 +36,20 @@ pub(crate) fn layers(
             }
         },
     };
+    // Before the user's file and single keys, which may set what belongs to them, such as a grid or settings.
+    let chosen = Chosen { law: args.law.as_deref(), objective: args.objective.as_deref(), tuner };
+    chosen.choose(&mut layers)?;
     if let Some(file) = &args.config {
         let (origin, text) = (file.display().to_string(), read(file, "--config")?);
         folder::refuse_earlier(&origin, &text)?;
         layers.add_document(&origin, &text)?;
-    }
-    if let Some(law) = &args.law {
-        check_preset("--law", "laws", law, Path::new(law).is_file())?;
-        layers.set_law("--law", law)?;
-    }
-    if let Some(objective) = &args.objective {
-        check_preset("--objective", "objectives", objective, false)?;
-        layers.set_objective("--objective", objective)?;
-    }
-    // Before single keys, which may be its settings.
-    if let Some(tuner) = tuner {
-        check_preset("--tuner", "tuners", tuner, false)?;
-        layers.set_tuner("--tuner", tuner)?;
+        // An option counts more than a file that names another one.
+        chosen.choose(&mut layers)?;
     }
     if let Some(vehicle) = &args.vehicle {
         layers.set_vehicle("--vehicle", vehicle)?;
     }
-    // What a path's length makes of the other keys can still be set by hand.
+    // Keys that are derived from the path's length can still be overridden by hand.
     let (before, after): (Vec<_>, Vec<_>) =
         args.set.iter().partition(|assignment| assignment.starts_with("reference."));
     for assignment in before {
@@ -72,7 +64,36 @@ pub(crate) fn layers(
     Ok(layers)
 }
 
-/// Checks that a preset of that name lies in a folder of presets, or that a file is meant.
+/// The parts that options of the command line name.
+struct Chosen<'a> {
+    law: Option<&'a str>,
+    objective: Option<&'a str>,
+    tuner: Option<&'a str>,
+}
+
+impl Chosen<'_> {
+    /// Takes the parts that are not there already: those that are may have been changed since.
+    fn choose(&self, layers: &mut Layers) -> Result<(), Failure> {
+        let is_there =
+            |layers: &Layers, key: &str, name: &str| layers.text(key).as_deref() == Some(name);
+        if let Some(law) = self.law.filter(|law| !is_there(layers, "law_preset", law)) {
+            check_preset("--law", "laws", law, Path::new(law).is_file())?;
+            layers.set_law("--law", law)?;
+        }
+        if let Some(objective) = self.objective.filter(|it| !is_there(layers, "objective.name", it))
+        {
+            check_preset("--objective", "objectives", objective, false)?;
+            layers.set_objective("--objective", objective)?;
+        }
+        if let Some(tuner) = self.tuner.filter(|tuner| !is_there(layers, "learning.tuner", tuner)) {
+            check_preset("--tuner", "tuners", tuner, false)?;
+            layers.set_tuner("--tuner", tuner)?;
+        }
+        Ok(())
+    }
+}
+
+/// Checks that a folder of presets contains one of this name, or that the name is that of a file.
 pub(crate) fn check_preset(
     option: &str,
     folder: &str,
@@ -92,7 +113,7 @@ pub(crate) fn check_preset(
     Err(Failure::User(format!("{option} {name}: {what}; {hint}")))
 }
 
-/// The processes of a pipeline; `trainer` fills the trainer's role where nothing else was named for it.
+/// The processes of a pipeline; `trainer` fills the trainer's role unless another program was named for it.
 pub(crate) fn launch(
     args: &SetupArgs,
     services: Services,
@@ -119,21 +140,21 @@ pub(crate) fn launch(
     Ok(launch)
 }
 
-/// Where a run writes, and what it goes on with.
+/// Where a run writes, and whether it resumes an earlier one.
 pub(crate) enum Folder<'a> {
-    /// A new folder, named by the user or after the run and the time.
+    /// A new folder, named by the user, or else after the run and the time.
     New(&'a str),
     /// The folder of a training that was interrupted.
     Old(&'a Path),
 }
 
-/// A plan, with the lock on its folder: as long as that is held, nobody else writes there.
+/// A plan with the lock on its folder: while it is held, nobody else writes there.
 pub(crate) struct Ready {
     pub(crate) plan: Plan,
     _lock: fs::File,
 }
 
-/// Checks what a run needs of the machine, and makes its folder.
+/// Checks that the machine has what a run needs, and creates its folder.
 pub(crate) fn prepare(
     args: &SetupArgs,
     config: RunConfig,
@@ -154,7 +175,7 @@ pub(crate) fn prepare(
     if let Some(priority) = args.fifo {
         preflight::ask_for_fifo(priority, config.run.realtime)?;
     }
-    // Until here a signal may simply end us; from here on it ends in order.
+    // Up to here a signal may simply end this process; from here on the run ends in order.
     let interrupted = Interrupts::new()?;
     preflight::check_commands(&launch)?;
     sweep_dead_runs();

@@ -1,6 +1,6 @@
-//! What a living run tells of itself, in a file in its private folder: how other terminals find it.
+//! What a living run reports about itself in a file in its private folder, by which other terminals find it.
 //!
-//! Written by the pipeline, so this file uses none of its rooms.
+//! The pipeline writes it, so this module uses nothing of the pipeline.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::words::Failure;
 
-/// What a living run tells of itself.
+/// What a living run reports about itself.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct RunState {
     pub(crate) run: String,
@@ -37,7 +37,7 @@ impl RunState {
     /// Name of the file.
     pub(crate) const FILE: &str = "run.json";
 
-    /// Writes the file, by rename: whoever reads it reads all of it.
+    /// Writes the file, by rename, so that nobody reads half of it.
     pub(crate) fn write(&self, path: &Path) -> io::Result<()> {
         let part = path.with_extension("part");
         fs::write(&part, serde_json::to_vec(self)?)?;
@@ -54,7 +54,7 @@ impl RunState {
         living_runs().iter().filter_map(Self::read).collect()
     }
 
-    /// The living run that a user means: by the start of its number, by its folder, or the only one there is.
+    /// The living run that a user names by the beginning of its number or by its folder, or the only one there is.
     pub(crate) fn find(run: Option<&str>) -> Result<Self, Failure> {
         let mut runs = Self::living();
         if let Some(word) = run {
@@ -70,7 +70,7 @@ impl RunState {
                 "no living run has a number or folder {word:?}; `pathtune status` lists them"
             ))),
             (_, _) => Err(Failure::User(format!(
-                "several runs are meant: {}; name one",
+                "several runs match: {}; name one",
                 runs.iter().map(|state| state.run.as_str()).collect::<Vec<_>>().join(", ")
             ))),
         }
@@ -81,7 +81,7 @@ impl RunState {
     }
 }
 
-/// A living run, as observers need it.
+/// What observers need to know about a living run.
 #[derive(Debug, Clone)]
 pub struct LivingRun {
     /// What names it on this machine.
@@ -90,10 +90,10 @@ pub struct LivingRun {
     pub folder: PathBuf,
 }
 
-/// The living run that a user means: by the start of its number, by its folder, or the only one there is.
+/// The living run that a user names by the beginning of its number or by its folder, or the only one there is.
 ///
 /// # Errors
-/// If no run or several are meant.
+/// If no run matches, or several do.
 pub fn living_run(run: Option<&str>) -> Result<LivingRun, Failure> {
     let state = RunState::find(run)?;
     let names = living_runs()

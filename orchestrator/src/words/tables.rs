@@ -1,6 +1,6 @@
 //! The tables at the end of a run.
 //!
-//! Two quantities must not be taken for each other. The *cross-track error* is that against the reference of the moment,
+//! Two quantities must not be confused. The *cross-track error* is measured against the current reference,
 //! which moves on with time. *Off the path* is the distance of the pose from the nearest point of the path.
 
 use comfy_table::presets::NOTHING;
@@ -15,10 +15,10 @@ use crate::pipeline::recovery::Recovery;
 use crate::words::Failure;
 use crate::words::terminal::say;
 
-/// The tables of a run, and what else is worth knowing of it.
+/// Prints the tables of a run, and what else is worth knowing about it.
 pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
     match &result.decided.outcome {
-        Outcome::Train(it) => print_training(it, &result.run, config)?,
+        Outcome::Train(it) => print_training(it, result, config)?,
         Outcome::Validate(it) => print_validation(it, config)?,
         Outcome::Grid(it) => print_grid(it, config)?,
         Outcome::Drive(it) => print_drive(it, config)?,
@@ -28,7 +28,8 @@ pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(),
     Ok(())
 }
 
-fn print_training(it: &TrainResult, run: &Run, config: &RunConfig) -> Result<(), Failure> {
+fn print_training(it: &TrainResult, result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
+    let RunResult { drives, run, .. } = result;
     let size = it.grid.map(|grid| grid.size);
     let measures = MeasureColumns::new(config, size.is_some());
     let mut table = table_of(&header("", &config.law, measures.header()));
@@ -95,15 +96,15 @@ fn print_training(it: &TrainResult, run: &Run, config: &RunConfig) -> Result<(),
     };
     say!(
         "{} drives asked for{beside}, {} driven, {} again after a crash; the grid holds {}",
-        it.drives.asked,
-        it.drives.driven,
+        drives.asked,
+        drives.driven,
         run.drives.reissued,
         config.grid().len(),
     );
     Ok(())
 }
 
-/// How the set was chosen under noise, and how sure that is. `rank` is its place among so many.
+/// Prints how the set was chosen under noise, and how certain that choice is. `rank` is its place, and among how many.
 fn print_choice_under_noise(
     noise: &NoiseChoice,
     rank: Option<(usize, usize)>,
@@ -120,7 +121,7 @@ fn print_choice_under_noise(
         noise.finalists.len(),
     );
     if config.vehicle.gear_engaged {
-        say!("all of it, the noise-free figures too, with the drive gear engaged from the start");
+        say!("all drives, noise-free ones too, began with the drive gear engaged");
     }
     let against = |name: &str, it: &Comparison| -> Result<(), Failure> {
         if it.gains == chosen.gains {
@@ -129,7 +130,7 @@ fn print_choice_under_noise(
         let verdict = match it.verdict {
             Verdict::Better => "better than",
             Verdict::Worse => "worse than",
-            Verdict::Undecided => "not to be told from",
+            Verdict::Undecided => "not distinguishable from",
         };
         say!(
             "{verdict} {name}: paired difference {} [{}, {}] over the same {} drives",
@@ -205,8 +206,8 @@ fn print_validation(it: &ValidateResult, config: &RunConfig) -> Result<(), Failu
     say!("\n{table}");
     if it.rows.iter().any(|row| row.noise_free.collisions + row.noisy.collisions > 0) {
         say!(
-            "a collision ends a drive; the ticks that it cuts off score the last error, so that mse and distance are \
-             those of no whole drive"
+            "a collision ends a drive; each tick that it cuts off counts with the last error, so that mse and distance are \
+             not those of a whole drive"
         );
     }
     let of_paper = if has_paper { "; the paper gives the worst of 10; *: its choice" } else { "" };
@@ -334,14 +335,19 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         _ => "with its time",
     };
     let poses = if it.true_poses { "true" } else { "measured" };
-    say!("{} s driven; it ended {reason}; all of the {poses} poses", digits(it.driven_s, 1));
+    say!(
+        "{} s driven; it ended {reason}; all figures are of the {poses} poses",
+        digits(it.driven_s, 1)
+    );
     if it.joined {
-        say!("the controller was restarted on the way: the figures are those since then");
+        say!(
+            "the controller was restarted during the drive: the figures cover the time since then"
+        );
     }
     Ok(())
 }
 
-/// Crashes and speed of a run.
+/// Prints the crashes and the speed of a run.
 fn print_how_it_went(run: &Run) -> Result<(), Failure> {
     let recovery: Recovery =
         serde_json::from_value(run.recovery.clone()).map_err(anyhow::Error::from)?;
@@ -365,7 +371,7 @@ fn print_how_it_went(run: &Run) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Name of the objective, where its value is not that of another column.
+/// Name of the objective, if its value is not that of another column.
 fn objective_column(config: &RunConfig) -> Option<&str> {
     let objective = &config.objective;
     let is_a_column = ["distance", "mse", "path", "path_max"].contains(&&*objective.name);
@@ -376,11 +382,11 @@ fn objective_column(config: &RunConfig) -> Option<&str> {
 /// Columns for the measures of a drive.
 #[derive(Clone, Copy)]
 struct MeasureColumns<'a> {
-    /// Its value goes in front, under this name.
+    /// The objective's value comes first, under this name.
     objective: Option<&'a str>,
     /// Each is followed by its rank in the grid.
     ranked: bool,
-    /// Whether drives are to arrive at the end of the path: those that end by their time are not.
+    /// Whether drives are meant to arrive at the end of the path; those that end by time are not.
     arrival: bool,
 }
 
@@ -447,14 +453,14 @@ fn header<'a>(
     std::iter::once(title).chain(law.symbols()).chain(columns).collect()
 }
 
-/// A cell for each parameter of a law; in each its values in all the sets.
+/// One cell for each parameter of a law, with its values in all the sets.
 pub(crate) fn set_cells(law: &LawConfig, sets: &[NamedParameters]) -> Vec<String> {
     let value = |set: &NamedParameters, key: &str| set.get(key).map_or("–".to_owned(), trim);
     let cell = |key: &str| sets.iter().map(|set| value(set, key)).collect::<Vec<_>>().join(" / ");
     law.keys().map(cell).collect()
 }
 
-/// A table without lines, its numbers to the right.
+/// A table without lines, with numbers aligned to the right.
 pub(crate) fn table_of(header: &[&str]) -> Table {
     let mut table = Table::new();
     table.load_style(NOTHING).set_header(header);
@@ -464,12 +470,12 @@ pub(crate) fn table_of(header: &[&str]) -> Table {
     table
 }
 
-/// A number with so many digits behind the point.
+/// A number with `count` digits after the decimal point.
 pub(crate) fn digits(number: f64, count: usize) -> String {
     format!("{number:.count$}")
 }
 
-/// The same; a dash where there is none.
+/// The same, or a dash if there is no number.
 fn or_dash(number: Option<f64>, count: usize) -> String {
     number.map_or("–".to_owned(), |number| digits(number, count))
 }

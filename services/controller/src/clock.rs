@@ -1,39 +1,39 @@
 //! The clock of a vehicle's reference: how many ticks the reference has run.
 //!
 //! In lockstep it is the tick. Where the vehicle paces by the clock, it also
-//! - waits, while the gate slows down or stops the vehicle;
-//! - starts again from rest, when a stopped vehicle is let drive on;
+//! - slows down or waits while the gate slows down or stops the vehicle;
+//! - starts again from rest, when a stopped vehicle is allowed to drive on;
 //! - goes on where its predecessor was, when a controller joins a drive that has begun.
 //!
-//! Pure: what is heard of the gate is an argument, and what the drive has to do about it is returned.
+//! Pure: the gate's report is an argument, and what the drive must do about it is returned.
 
-/// What the gate of a vehicle tells that the clock depends on.
+/// The part of a gate's report on which the clock depends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GateReport {
-    /// Tick of the odometry that the report rests on.
+    /// Tick of the odometry on which the report is based.
     pub tick: u64,
-    /// Where along the path the clock last started from rest, and the ticks that it has run since, as the controller's
-    /// last answer had them; none if the gate has heard no answer.
+    /// Where along the path the clock last started from rest, and the ticks that it has run since, as in the
+    /// controller's last answer; `None` if the gate has received no answer.
     pub reference: Option<(f64, f64)>,
-    /// Ticks that the clock is to run in a tick of the vehicle, 0 to 1.
+    /// How many ticks the clock must run in a tick of the vehicle, 0 to 1.
     pub clock_rate: f64,
     /// The vehicle is being stopped, or stands.
     pub is_stopped: bool,
 }
 
-/// What a tick means to the drive, beside that the clock has been moved to it.
+/// What a tick means for the drive, apart from moving the clock to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Moved {
     /// Nothing.
     On,
-    /// It cannot be answered: the drive had begun before this process, and nobody has told yet how it stands.
+    /// The tick cannot be answered: the drive had begun before this process, which does not know its state yet.
     Held,
     /// The drive is joined; the clock last started from rest at this place along the path.
     Joined {
         /// That place.
         origin_m: f64,
     },
-    /// The drive is joined, and nobody knows how it stood: the reference starts from rest, where the vehicle is.
+    /// The drive is joined, and its state is lost: the reference starts from rest, where the vehicle is.
     JoinedAnew,
     /// A stopped vehicle drives on: the reference starts from rest, where the vehicle is.
     Restarted {
@@ -47,13 +47,13 @@ pub enum Moved {
 pub struct ReferenceClock {
     /// Ticks that it has run since it last started from rest.
     phase_ticks: f64,
-    /// The tick at which it had run so long; none before the first.
+    /// The tick at which it had run that long; `None` before the first.
     at_tick: Option<u64>,
-    /// Ticks that it runs in a tick of the vehicle.
+    /// How many ticks it runs in a tick of the vehicle.
     rate: f64,
-    /// The vehicle is being stopped, or stands: behind that, the clock starts from rest.
+    /// The vehicle is being stopped, or stands: afterwards the clock starts from rest.
     is_frozen: bool,
-    /// The drive had begun before this process: ticks that are still held for somebody who knows how it stands.
+    /// The drive had begun before this process: how many more ticks to wait for a report of its state.
     held_ticks: Option<u32>,
 }
 
@@ -64,11 +64,11 @@ impl Default for ReferenceClock {
 }
 
 impl ReferenceClock {
-    /// Ticks for which a clock that joins is held for somebody who knows how the drive stands: the supervisor tells it
+    /// How many ticks a clock that joins waits for a report of the drive's state: the supervisor sends it
     /// at least once a tick, unless it was restarted, too.
     pub const HELD_TICKS: u32 = 20;
 
-    /// More than any drive lasts: a phase that another process tells is no larger.
+    /// Longer than any drive: a phase that another process reports is limited to this.
     const LONGEST_TICKS: f64 = 1e9;
 
     /// The clock of a drive that had begun before.
@@ -86,12 +86,12 @@ impl ReferenceClock {
         self.phase_ticks as u64
     }
 
-    /// Whether the vehicle is being stopped, or stands, as far as the gate has told.
+    /// Whether the vehicle is being stopped, or stands, according to the gate's last report.
     pub fn is_frozen(&self) -> bool {
         self.is_frozen
     }
 
-    /// Whether it has not been told yet how a drive stands that had begun before.
+    /// Whether it still waits for the state of a drive that had begun before.
     pub fn is_joining(&self) -> bool {
         self.held_ticks.is_some()
     }
@@ -101,8 +101,8 @@ impl ReferenceClock {
         self.phase_ticks = tick as f64;
     }
 
-    /// By the vehicle's clock: runs on to `tick`, with what the gate has told since the tick before, if it has told
-    /// anything.
+    /// By the vehicle's clock: runs on to `tick`, with the gate's report since the tick before, if there is
+    /// one.
     pub fn advance(&mut self, tick: u64, report: Option<GateReport>) -> Moved {
         let moved = match self.held_ticks {
             Some(left) => self.join(tick, report, left),
@@ -114,7 +114,7 @@ impl ReferenceClock {
         moved
     }
 
-    /// Goes on where the predecessor was, as the gate tells it.
+    /// Goes on where the predecessor was, according to the gate.
     fn join(&mut self, tick: u64, report: Option<GateReport>, held_ticks: u32) -> Moved {
         let known = report.and_then(|it| Some((it, it.reference?)));
         match known {
@@ -125,7 +125,7 @@ impl ReferenceClock {
                 self.at_tick = Some(report.tick);
                 Moved::Joined { origin_m }
             }
-            // The supervisor knows no more than we do: it has been restarted, too.
+            // The supervisor knows no more than this process: it has been restarted, too.
             _ if held_ticks == 0 => {
                 self.held_ticks = None;
                 self.at_tick = Some(tick);
@@ -138,7 +138,7 @@ impl ReferenceClock {
         }
     }
 
-    /// Takes over whether the vehicle is stopped, and starts from rest behind that.
+    /// Takes over whether the vehicle is stopped, and starts from rest after a stop.
     fn hear(&mut self, tick: u64, report: Option<GateReport>) -> Moved {
         let Some(report) = report else { return Moved::On };
         let was_frozen = std::mem::replace(&mut self.is_frozen, report.is_stopped);
@@ -151,7 +151,7 @@ impl ReferenceClock {
     }
 
     fn run_to(&mut self, tick: u64, report: Option<GateReport>) {
-        // It never runs faster than the vehicle's ticks, whatever another process tells.
+        // It never runs faster than the vehicle's ticks, whatever another process reports.
         self.rate = report.map_or(self.rate, |it| finite_or_zero(it.clock_rate).clamp(0.0, 1.0));
         let since = self.at_tick.map_or(tick, |at| tick.saturating_sub(at));
         self.phase_ticks += self.rate * since as f64;
@@ -168,7 +168,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// What a gate tells that is well.
+    /// What a gate reports if all is well.
     fn well(tick: u64, clock: &ReferenceClock) -> GateReport {
         GateReport {
             tick,
@@ -178,7 +178,7 @@ mod tests {
         }
     }
 
-    /// What a gate tells while it stops the vehicle.
+    /// What a gate reports while it stops the vehicle.
     fn stopped(tick: u64, clock: &ReferenceClock) -> GateReport {
         GateReport { clock_rate: 0.0, is_stopped: true, ..well(tick, clock) }
     }
@@ -193,7 +193,7 @@ mod tests {
         ]
     }
 
-    /// Whatever another process may tell.
+    /// Anything that another process may report.
     fn any_report() -> impl Strategy<Value = Option<GateReport>> {
         let reference = prop::option::of((any_number(), any_number()));
         let report = (any::<u64>(), reference, any_number(), any::<bool>());
@@ -207,7 +207,8 @@ mod tests {
         })
     }
 
-    /// Ticks between two that are answered, each with what the gate has told: normal, slower, stopping, or nothing.
+    /// Numbers of ticks between two that are answered, each with what the gate reports: normal, slower, stopping, or
+    /// nothing.
     fn any_drive() -> impl Strategy<Value = Vec<(u64, u8)>> {
         prop::collection::vec((1..5u64, 0..4u8), 1..60)
     }
@@ -255,7 +256,7 @@ mod tests {
             let report = well(0, &clock);
             clock.advance(before, Some(report));
             for tick in before..before + stop {
-                // The supervisor tells it once a tick; some of that gets lost.
+                // The supervisor reports it once a tick; some reports get lost.
                 let report = (tick == before || tick % 3 == 0).then(|| stopped(tick, &clock));
                 prop_assert_eq!(clock.advance(tick + 1, report), Moved::On);
                 prop_assert!(clock.is_frozen());
@@ -282,14 +283,14 @@ mod tests {
                 tick += since;
                 predecessor.advance(tick, report);
             }
-            // Its last answer, as the gate tells of it: had it not been lost, it would have heard the same.
+            // Its last answer, as the gate reports it: if it had not been lost, the clock would have heard the same.
             let last = told(kind, tick, &predecessor);
             tick += silent;
             let mut successor = ReferenceClock::joining();
             prop_assert!(successor.is_joining());
             prop_assert_eq!(successor.advance(tick, last), Moved::Joined { origin_m: 0.0 });
             let restarted = matches!(predecessor.advance(tick, last), Moved::Restarted { .. });
-            // Behind a rearm that nobody took over, the reference goes on from where it stood.
+            // After a rearm that nobody took over, the reference goes on from where it stood.
             prop_assume!(!restarted);
             prop_assert_eq!(successor, predecessor);
             for (since, kind) in further {

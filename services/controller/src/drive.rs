@@ -12,19 +12,19 @@ use crate::sight::Sight;
 /// What the controller sees of the vehicle at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
-    /// Pose as measured: the law reads this one alone.
+    /// Pose as measured: the law reads only this one.
     pub measured: Pose,
     /// Forward speed.
     pub speed_mps: f64,
     /// Yaw rate, counter-clockwise.
     pub yaw_rate_radps: f64,
-    /// Pose in truth, where the vehicle knows it: the record of the drive is made of this one.
+    /// True pose, if the vehicle knows it: the record of the drive is made from this one.
     pub truth: Option<Pose>,
     /// Whether the vehicle reports a collision.
     pub collision: bool,
 }
 
-/// What the controller makes of one tick.
+/// What the controller computes in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decision {
     /// The command of this tick.
@@ -33,9 +33,9 @@ pub struct Decision {
     pub error: TrackingError,
     /// Progress of the reference along the path.
     pub reference_along_m: f64,
-    /// Distance of the pose, the true one where it is known, from the nearest point of the path.
+    /// Distance of the pose (the true one if it is known) from the nearest point of the path.
     pub path_distance_m: f64,
-    /// What is remembered of the drive, if this tick is its last.
+    /// The record of the drive, if this tick is its last.
     pub ended: Option<DriveRecord>,
 }
 
@@ -81,7 +81,7 @@ impl DriveController {
         }
     }
 
-    /// Back to the first tick, with these parameters and this length.
+    /// Returns to the first tick, with these parameters and this length.
     pub fn reset(&mut self, parameters: Parameters, ticks: u64) {
         self.reference.reset();
         self.law.reset();
@@ -94,8 +94,8 @@ impl DriveController {
     }
 
     /// Goes on with a drive of which only this is known: where the reference's clock last started from rest, where the
-    /// vehicle is, the steering angle that was commanded last, and what the law's predecessor left. The next tick tells
-    /// how long the clock has run.
+    /// vehicle is, the steering angle that was commanded last, and the state that the law's predecessor left. The next
+    /// tick gives the time for which the clock has run.
     pub fn join(
         &mut self,
         origin_m: f64,
@@ -181,13 +181,13 @@ impl DriveController {
         Decision { command, error, reference_along_m, path_distance_m, ended }
     }
 
-    /// What is remembered of the drive that ends with the vehicle at this pose.
+    /// The record of the drive, which ends with the vehicle at this pose.
     #[cold]
     fn end(&mut self, reason: EndReason, pose: Pose) -> DriveRecord {
         let path = self.reference.path();
         let along_m = self.follower.along_m(path, pose.x_m, pose.y_m);
         let progress = match reason {
-            // Within the goal's radius is at the end.
+            // A vehicle within the goal's radius is at the end.
             EndReason::Goal => 1.0,
             _ => (along_m / path.length_m()).clamp(0.0, 1.0),
         };
@@ -210,7 +210,7 @@ impl DriveController {
     }
 }
 
-/// FNV-1a over the bits of numbers: two drives with one trace saw and did the same.
+/// FNV-1a over the bits of numbers: two drives with the same trace saw and did the same.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Trace(u64);
 

@@ -30,7 +30,7 @@ struct Controller {
     odometry: Inlet<Odometry>,
     zones: Inlet<Zone>,
     gains: Inlet<GainSwitch>,
-    /// Made before the ear on `safety`: who has heard that has heard this.
+    /// Made before the inlet of `safety`: a process that has received `safety` has received this.
     kept_law_states: Inlet<KeptLawState>,
     safety: Inlet<Safety>,
     law_states: Outlet<LawState>,
@@ -38,26 +38,27 @@ struct Controller {
     errors: Outlet<TrackingError>,
     reports: Outlet<DriveReport>,
     run: u64,
-    /// What the law says of its parameters: those that come from other processes are checked against it.
+    /// The law's bounds for its parameters: those that come from other processes are checked against them.
     law: LawConfig,
     /// A drive at its first tick, to be copied into new slots.
     fresh: DriveController,
-    /// What was asked for, one a slot; apart, because no tick reads it.
+    /// The requests, one for each slot; kept apart, because no tick reads them.
     requested: Vec<DriveRequest>,
     slots: Vec<Slot>,
-    /// Odometry that something else must come before: the request of its batch, or a zone's parameters. They
+    /// Odometry that must wait for something else: the request of its batch, or a zone's parameters. They
     /// travel on different topics.
     held: Option<Received<Odometry>>,
     /// Whether parameters change with the zone in the batch under way.
     scheduled: bool,
-    /// Whether the vehicle paces by the clock: then nobody is waited for, and ticks may be missing.
+    /// Whether the vehicle paces by the clock: then it waits for no process, and ticks may be missing.
     real_time: bool,
     started_ns: u64,
-    /// The laws' states, as the supervisor has kept them for a controller that joins a drive; empty if it has told none.
+    /// The laws' states, as the supervisor has kept them for a controller that joins a drive; empty if it has sent
+    /// none.
     kept: Vec<KeptLawState>,
-    /// The batch that is driven, with the tick that comes next; none between batches.
+    /// The batch that is driven, with the tick that comes next; `None` between batches.
     driving: Option<(BatchHeader, u64)>,
-    /// The last attempt that was asked for.
+    /// The last attempt that was requested.
     last: Attempt,
     counters: Counters,
 }
@@ -67,16 +68,16 @@ struct Slot {
     /// The last odometry that could be believed.
     seen: Seen,
     answer: Answer,
-    /// What is remembered of the drive, once it has ended.
+    /// The record of the drive, once it has ended.
     record: Option<Box<DriveRecord>>,
-    /// This process joined the drive on its way.
+    /// This process joined the drive while it was under way.
     joined: bool,
     /// The zone whose parameters the next tick must have.
     awaited: Option<u32>,
     clock: ReferenceClock,
 }
 
-/// What was made of the last tick.
+/// What was computed in the last tick.
 #[derive(Debug, Clone, Copy, Default)]
 struct Answer {
     command: crate::RawCommand,
@@ -142,7 +143,7 @@ impl Controller {
     fn answer(&mut self, header: TickHeader, odometry: &[Odometry]) -> Result<()> {
         let received_ns = now_ns();
         if self.real_time && self.driving.is_none() {
-            // A vehicle goes on behind the end of its drive.
+            // A vehicle goes on after the end of its drive.
             return Ok(());
         }
         if !self.expects(header) || odometry.len() != self.slots.len() {
@@ -155,7 +156,7 @@ impl Controller {
         let real_time = self.real_time;
         let Self { slots, counters, .. } = self;
         let mut sent_ns = 0;
-        // In one go for each vehicle: a fleet does not fit into the nearest cache.
+        // All steps for one vehicle after the other: a fleet does not fit into the nearest cache.
         let answer = |index: usize| {
             let slot = &mut slots[index];
             if !real_time {
@@ -167,7 +168,7 @@ impl Controller {
         };
         let written = self.raw_commands.write(odometry.len(), answer)?;
         if real_time {
-            // Before the raw command: who has that has this.
+            // Before the raw command: a process that has the raw command has this, too.
             tell_law_states(&self.law_states, header, &self.slots)?;
         }
         written.send(|now_ns| {
@@ -202,9 +203,10 @@ impl Controller {
         })
     }
 
-    /// Hears zones and their parameters; whether a tick must still wait for those.
+    /// Receives zones and their parameters; returns whether a tick must still wait for parameters.
     ///
-    /// A zone is sent before the command that the vehicle answers with its tick's odometry: by now it is here.
+    /// A zone is sent before the command that the vehicle answers with the odometry of the zone's tick: by now it is
+    /// here.
     fn awaits_parameters(&mut self) -> Result<bool> {
         let Some((batch, tick)) = self.driving.filter(|_| self.scheduled) else {
             return Ok(false);
@@ -240,13 +242,13 @@ impl Controller {
             }
         }
         let awaits = self.slots.iter().any(|slot| slot.awaited.is_some());
-        // In real time the old parameters go on.
+        // In real time the old parameters stay in use.
         self.counters.late += u64::from(awaits && self.real_time);
         Ok(awaits && !self.real_time)
     }
 
-    /// Hears what the gate does: whether a reference stands still, and how a drive stands that is joined. Whether this
-    /// tick can be answered.
+    /// Receives the gate's reports: whether a reference stands still, and the state of a drive that is joined. Returns
+    /// whether this tick can be answered.
     fn hear_safety(&mut self, tick: u64, odometry: &[Odometry]) -> Result<bool> {
         let (attempt, len) = (self.last, self.slots.len());
         let is_ours = |of: BatchHeader, items: usize| of.attempt == attempt && items == len;
@@ -256,7 +258,7 @@ impl Controller {
                 newest = Some(message);
             }
         }
-        // Only a drive that is joined is in want of it.
+        // Only a drive that is being joined needs it.
         let joins = self.slots.iter().any(|slot| slot.clock.is_joining());
         let kept = if joins { self.kept_law_states.receive_newest()? } else { None };
         if let Some(kept) = kept.filter(|it| is_ours(it.header(), it.items().len())) {
@@ -280,7 +282,7 @@ impl Controller {
     }
 }
 
-/// Tells what the laws must not lose if this process is replaced.
+/// Sends the state that the laws must not lose if this process is replaced.
 fn tell_law_states(law_states: &Outlet<LawState>, tick: TickHeader, slots: &[Slot]) -> Result<()> {
     let TickHeader { attempt, tick, .. } = tick;
     let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
@@ -311,9 +313,9 @@ impl Slot {
         }
     }
 
-    /// Lets the reference's clock run to `tick`, or stand still, as the gate says. Whether the tick can be answered: a
-    /// drive that was joined has to wait until somebody has told how it stands. The law goes on from `state` then, if that
-    /// was kept.
+    /// Lets the reference's clock run to `tick`, or stand still, as the gate says. Returns whether the tick can be
+    /// answered: a drive that is being joined has to wait until its state is reported. Then the law goes on from
+    /// `state`, if that was kept.
     fn follow(
         &mut self,
         tick: u64,
@@ -321,7 +323,7 @@ impl Slot {
         state: Option<&crate::LawState>,
         seen: Option<Seen>,
     ) -> bool {
-        // Who joins must know where the vehicle is.
+        // To join, it must know where the vehicle is.
         let safety = safety.filter(|_| seen.is_some() || !self.clock.is_joining());
         let measured = seen.unwrap_or(self.seen).measured;
         let steering_rad = safety.map_or(0.0, |it| finite_or_zero(it.steering_rad));
@@ -344,7 +346,7 @@ impl Slot {
         true
     }
 
-    /// One tick; whether the odometry could be believed. If not, the last one stands in for it.
+    /// Computes one tick; returns whether the odometry could be believed. If not, the last one stands in for it.
     fn tick(&mut self, odometry: &Odometry) -> bool {
         if self.record.is_some() {
             return true;
@@ -418,7 +420,7 @@ impl Slot {
         }
     }
 
-    /// What the law must not lose if this process is replaced.
+    /// The state that the law must not lose if this process is replaced.
     fn law_state(&self, tick: u64, slot: u32) -> LawState {
         let state = self.drive.law_state();
         let numbers = state.numbers();
@@ -428,14 +430,14 @@ impl Slot {
     }
 }
 
-/// The state of a law, if one was kept that it can go on from.
+/// The state from which a law can go on, if one was kept.
 fn kept_state(kept: &KeptLawState) -> Option<crate::LawState> {
     let numbers = kept.numbers.get(..kept.count as usize)?;
     let is_usable = !numbers.is_empty() && numbers.iter().all(|number| number.is_finite());
     is_usable.then(|| crate::LawState::of(numbers))
 }
 
-/// What the reference's clock depends on.
+/// The part of the gate's report on which the reference's clock depends.
 fn gate_report(safety: Safety) -> GateReport {
     let Safety { tick, origin_m, phase_ticks, clock_rate, state, .. } = safety;
     GateReport {
@@ -475,7 +477,7 @@ impl Service for Controller {
         }
         if self.real_time {
             newest = self.odometry.receive()?;
-            // What came before the newest is too old to be answered.
+            // Odometry before the newest is too old to be answered.
             while let Some(newer) = self.odometry.receive()? {
                 self.counters.late += 1;
                 newest = Some(newer);
@@ -484,7 +486,7 @@ impl Service for Controller {
         let is_new = newest.is_some();
         let odometry = match (newest, self.held.take()) {
             (Some(new), held) => {
-                // What was held belongs to nothing that anybody asked for.
+                // What was held belongs to no batch that was requested.
                 self.counters.dropped += u64::from(held.is_some());
                 new
             }
@@ -495,7 +497,7 @@ impl Service for Controller {
         let is_early = header.attempt.is_ahead_of(&self.last);
         if is_early || self.awaits_parameters()? {
             self.held = Some(odometry);
-            // What it waits for may be here already, and nobody wakes us for it again.
+            // What it waits for may be here already, and there will be no second wake-up for it.
             return Ok(is_new);
         }
         self.answer(odometry.header(), odometry.items())?;
@@ -526,7 +528,8 @@ mod tests {
         let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
         let tick = TickHeader { attempt, ..TickHeader::default() };
         odometry.send(tick, 1, |_| Odometry::default()).unwrap();
-        // News, although there is nothing to be done: the request may have come meanwhile, and its wake-up is over.
+        // Counts as progress although there is nothing to do: the request may have come meanwhile, and its wake-up is
+        // over.
         assert!(controller.poll().unwrap());
         assert!(!controller.poll().unwrap());
         let request = BatchHeader { attempt, ..BatchHeader::default() };
@@ -608,7 +611,7 @@ mod tests {
             let states = bus.observe::<LawState>().unwrap();
 
             let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
-            // It was asked for before this controller began.
+            // It was requested before this controller started.
             let header = BatchHeader { attempt, sent_ns: 1, ..BatchHeader::default() };
             // The filter alone: each tick halves its angle.
             let request = DriveRequest {

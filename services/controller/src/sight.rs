@@ -7,7 +7,7 @@ use tracking::{Path, PathPoint, Pose, Reference, TrackingError, tracking_error};
 
 /// What a control law may look at in one tick. Everything comes from the measured pose, never from the true one.
 ///
-/// Fields are there anyway; what has to be computed is a method, and costs a law nothing that does not call it.
+/// Fields are known anyway; what has to be computed is a method, and costs nothing to a law that does not call it.
 #[derive(Debug, Clone)]
 pub struct Sight<'a> {
     /// The error against the reference pose of this tick, in the vehicle frame.
@@ -24,13 +24,13 @@ pub struct Sight<'a> {
     tick: u64,
     tracked_point_m: f64,
     wheelbase_m: f64,
-    /// Where the last projection was, along the path: the next one is looked for around it.
+    /// Where the last projection was, along the path: the search for the next one starts from it.
     near_m: Cell<f64>,
 }
 
 impl<'a> Sight<'a> {
-    /// How far beyond a wheelbase from the last projection the next one is looked for: what a car drives in a tick, and
-    /// then some, while its axles are projected in turn.
+    /// How far beyond a wheelbase from the last projection the next one is looked for: more than a car drives in a
+    /// tick, as its axles are projected in turn.
     const WINDOW_M: f64 = 3.0;
 
     /// The sight at `tick` of the reference's clock, for which `reference` has advanced to `reference_pose`.
@@ -88,7 +88,7 @@ impl<'a> Sight<'a> {
         Self { error, pose, speed_mps, yaw_rate_radps, reference_pose, near_m, ..self }
     }
 
-    /// The path, for what the methods below do not tell.
+    /// The path, for everything that the methods below do not cover.
     pub fn path(&self) -> &Path {
         self.reference.path()
     }

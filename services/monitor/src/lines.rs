@@ -1,4 +1,4 @@
-//! Reports as lines: JSON, CSV, or text for people, one a second.
+//! Reports as lines: JSON, CSV, or text for people, one per second.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -10,7 +10,7 @@ use crate::observed::ObservedRun;
 use crate::report::Report;
 use crate::{LookTimer, MonitorError, Options, POLL, Publish, SECOND_NS, Stop, StopReason, drain};
 
-/// Puts out a report a second until it is enough.
+/// Outputs a report per second until the end.
 pub(crate) fn run(
     options: &Options,
     run: &mut ObservedRun,
@@ -20,7 +20,7 @@ pub(crate) fn run(
     let mut outputs = Outputs::new(options)?;
     let mut timer = LookTimer::new(options);
     run.begin_interval();
-    // A single report is of as long as one wants to look.
+    // A single report covers the whole time that the user wants to watch.
     let interval_ns = match options.duration {
         Some(duration) if options.once => duration.as_nanos() as u64,
         _ => SECOND_NS,
@@ -31,7 +31,7 @@ pub(crate) fn run(
     let ended = loop {
         let ended = drain(run)?;
         if !has_begun && run.has_seen_ticks() {
-            // And of a time in which something was driven.
+            // It also covers a time in which something was driven.
             has_begun = true;
             run.begin_interval();
             due_ns = now_ns() + interval_ns;
@@ -43,7 +43,7 @@ pub(crate) fn run(
             if !outputs.put(&report)? || options.once {
                 break StopReason::Enough;
             }
-            // Who was frozen for a while does not catch up on lines.
+            // A monitor that was frozen for a while does not catch up on lines.
             while due_ns <= now_ns() {
                 due_ns += SECOND_NS;
             }
@@ -63,7 +63,7 @@ pub(crate) fn run(
         }
         std::thread::sleep(POLL);
     };
-    // Who looks for less than a second is told about less than a second.
+    // A user who watches for less than a second gets a report over less than a second.
     if reports == 0 && run.has_seen_ticks() {
         outputs.put(&run.report())?;
     } else if outputs.is_text() && reports > 1 {
@@ -95,7 +95,7 @@ impl Outputs {
         !self.json && self.csv.is_none()
     }
 
-    /// Whether somebody still reads.
+    /// Returns whether the output is still being read.
     fn put(&mut self, report: &Report) -> Result<bool, MonitorError> {
         if let Some(csv) = &mut self.csv {
             let (names, values): (Vec<_>, Vec<_>) = report.columns().into_iter().unzip();
@@ -123,7 +123,7 @@ impl Outputs {
         let mut out = io::stdout().lock();
         match writeln!(out, "{text}").and_then(|()| out.flush()) {
             Ok(()) => Ok(true),
-            // Whoever has read may go away.
+            // It is not an error if the reader has gone away.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
             Err(error) => {
                 Err(anyhow::Error::new(error).context("failed to write to standard output").into())

@@ -17,16 +17,16 @@ use crate::observed::ObservedRun;
 use crate::report::{Report, human};
 use crate::{LookTimer, MonitorError, Options, POLL, Publish, SECOND_NS, Stop, StopReason, drain};
 
-/// Between pictures.
+/// Time between pictures.
 const REFRESH_NS: u64 = SECOND_NS / 2;
-/// Between looks for keys.
+/// Time between looks for keys.
 const KEYS_NS: u64 = 20_000_000;
 /// Points of the sparkline that are kept: a wide terminal's worth.
 const POINTS: usize = 400;
 /// Events that are kept.
 const EVENTS: usize = 50;
 
-/// Draws until it is enough.
+/// Draws until the end.
 pub(crate) fn run(
     options: &Options,
     run: &mut ObservedRun,
@@ -37,7 +37,7 @@ pub(crate) fn run(
     let mut view = View::default();
     let mut timer = LookTimer::new(options);
     run.begin_interval();
-    // There is something to be seen at once, but figures only when some time has passed.
+    // Something is shown at once, but there are figures only after some time.
     screen.draw(&view)?;
     let (mut draw_ns, mut keys_ns, mut publish_ns) = (now_ns() + REFRESH_NS, now_ns(), now_ns());
     loop {
@@ -94,13 +94,13 @@ pub(crate) fn run(
     }
 }
 
-/// The terminal, given back as it was whatever happens: at the end of the view, on errors, on panics.
+/// The terminal, which is restored in any case: at the end of the view, on errors and on panics.
 struct Screen(DefaultTerminal);
 
 impl Screen {
     fn open() -> Result<Self, MonitorError> {
         ratatui::try_init().map(Self).map_err(|error| {
-            // It may have got half way.
+            // It may have failed half way.
             let _ = ratatui::try_restore();
             MonitorError::User(format!("failed to draw on this terminal: {error}; use --json"))
         })
@@ -159,7 +159,7 @@ impl Picture {
 #[derive(Debug, Default)]
 struct View {
     live: Picture,
-    /// The picture that stands still, if one does.
+    /// The frozen picture, if the view is frozen.
     frozen: Option<Picture>,
     drive: Option<Attempt>,
 }
@@ -175,7 +175,7 @@ impl View {
         self.live.total = total;
     }
 
-    /// Notes that a batch is driven anew.
+    /// Notes that a batch is driven again.
     fn note_drive(&mut self, run: &ObservedRun) {
         let drive = run.drive();
         if drive == self.drive {

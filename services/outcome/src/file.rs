@@ -30,7 +30,7 @@ pub enum OutcomeError {
 /// Reads the result of a run.
 ///
 /// # Errors
-/// If the file cannot be read, is of an earlier version, or is no result.
+/// If the file cannot be read, is of an earlier version, or is not a result.
 pub fn read_result(folder: &Path) -> Result<RunResult, OutcomeError> {
     read(&folder.join(RESULT_FILE))
 }
@@ -63,12 +63,14 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<T, OutcomeError> {
         }
         Some(version) => {
             return Err(malformed(format!(
-                "schema: is {version}, and this version of pathtune reads {SCHEMA}"
+                "schema: is {version}, but this version of pathtune reads {SCHEMA}"
             )));
         }
-        None => return Err(malformed("schema: is missing: this is no result of pathtune".into())),
+        None => {
+            return Err(malformed("schema: is missing: this is not a result of pathtune".into()));
+        }
     }
-    // From the text once more, not from the value: that one sorts the parameters by their names.
+    // Parsed from the text again, not from the value, which sorts the parameters by their names.
     let mut reader = serde_json::Deserializer::from_slice(&text);
     serde_path_to_error::deserialize(&mut reader).map_err(|error| {
         let key = error.path().to_string();

@@ -1,4 +1,4 @@
-//! What a sweep of the grid has come to.
+//! The result of a sweep of the grid.
 
 use std::collections::BTreeMap;
 
@@ -6,17 +6,15 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Drives, Measures, ParameterTable};
+use crate::{Measures, ParameterTable};
 
-/// What a sweep of the grid has come to; `grid.csv` holds every set.
+/// The result of a sweep of the grid; `grid.csv` holds every set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GridResult {
     /// SHA-256 over the reports of all drives.
     pub digest: String,
     /// Number of sets.
     pub size: usize,
-    /// The drives that it made.
-    pub drives: Drives,
     /// The best sets by the objective.
     pub best: Vec<RankedSet>,
     /// The best sets by the distance.
@@ -25,7 +23,7 @@ pub struct GridResult {
     pub best_by_mse: Vec<RankedSet>,
     /// The best sets by the mean distance from the path.
     pub best_by_path: Vec<RankedSet>,
-    /// The paper's set, and those that were named.
+    /// The paper's set, and the sets that the user gave.
     pub sets: Vec<NamedSet>,
     /// How many sets lie near the best one.
     pub flatness: Vec<Flatness>,
@@ -33,7 +31,7 @@ pub struct GridResult {
     pub main_effects: BTreeMap<String, MainEffect>,
 }
 
-/// A set among all of the grid.
+/// A set of the grid, with its ranks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RankedSet {
     /// The set.
@@ -67,15 +65,15 @@ pub struct NamedSet {
 /// How many sets lie near the best one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Flatness {
-    /// Above the best by at most this share of it.
+    /// Sets count if they exceed the best by at most this share of it.
     pub within: f64,
-    /// Sets by the objective.
+    /// Number of sets by the objective.
     pub sets_by_value: usize,
-    /// Sets by the distance.
+    /// Number of sets by the distance.
     pub sets_by_distance: usize,
-    /// Sets by the mse.
+    /// Number of sets by the mse.
     pub sets_by_mse: usize,
-    /// Sets by the mean distance from the path.
+    /// Number of sets by the mean distance from the path.
     pub sets_by_path: usize,
 }
 
@@ -84,11 +82,11 @@ pub struct Flatness {
 pub struct MainEffect {
     /// Share of the objective's variance over the grid that the means of the parameter's values explain (η²).
     pub share_value: f64,
-    /// The same of the distance.
+    /// The same for the distance.
     pub share_distance: f64,
-    /// The same of the mse.
+    /// The same for the mse.
     pub share_mse: f64,
-    /// The same of the mean distance from the path.
+    /// The same for the mean distance from the path.
     pub share_path: f64,
     /// The means.
     pub values: Vec<ValueMean>,

@@ -1,9 +1,10 @@
 //! What `result.json` holds: one type for the trainer that writes it, and for the orchestrator and the report that read it.
 //!
-//! A result has two parts. What configuration and seed decide is [`Decided`]: the same bytes for the same digest, written
-//! as `outcome.json` too, so that it can be compared and cached. What differs from run to run is [`Run`].
+//! A result has two parts. [`Decided`] is the part that is determined by configuration and seed: the same bytes for the
+//! same digest. It is also written as `outcome.json`, so that it can be compared and cached. [`Run`] is the part that
+//! differs from run to run.
 //!
-//! The sentences at the fields are the ones that `pathtune schema --result` prints.
+//! `pathtune schema --result` prints the doc comments of the fields.
 
 mod drive;
 mod file;
@@ -19,9 +20,9 @@ use serde::{Deserialize, Serialize};
 pub use drive::SingleDrive;
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
-pub use run::{ProcessFacts, Run, RunDrives};
+pub use run::{Drives, ProcessFacts, Run, RunDrives};
 pub use training::{
-    Beside, Comparison, Drives, Finalist, GridStanding, LearnerSummary, NoiseChoice, SetStanding,
+    Beside, Comparison, Finalist, GridStanding, LearnerSummary, NoiseChoice, SetStanding,
     TrainResult, Usage, Verdict,
 };
 pub use validation::{NoiseFree, Noisy, Switch, ValidateResult, ValidatedRow};
@@ -32,18 +33,20 @@ pub const SCHEMA: u32 = 2;
 /// The result of a run: `result.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunResult {
-    /// What configuration and seed decide.
+    /// The part that is determined by configuration and seed.
     #[serde(flatten)]
     pub decided: Decided,
-    /// What differs from run to run.
+    /// The drives; with `run.memo` off, each one that is asked for is driven.
+    pub drives: Drives,
+    /// The part that differs from run to run.
     pub run: Run,
     /// The processes of the run, as in `run.processes`.
     pub processes: Vec<ProcessFacts>,
-    /// Seconds of driving in a second of the run, as in `run.real_time_factor`.
+    /// Seconds of driving per second of the run, as in `run.real_time_factor`.
     pub real_time_factor: f64,
 }
 
-/// What configuration and seed decide: `outcome.json`.
+/// The part that is determined by configuration and seed: `outcome.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Decided {
     /// Version of this schema.
@@ -58,12 +61,12 @@ pub struct Decided {
     pub objective: String,
     /// Seed of the run.
     pub seed: u64,
-    /// What the run has come to; the key `kind` tells which of them it is.
+    /// The result of the run; the key `kind` says of which kind it is.
     #[serde(flatten)]
     pub outcome: Outcome,
 }
 
-/// What a run has come to.
+/// The result of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Outcome {
@@ -78,7 +81,7 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// The digest of the drives that it rests on.
+    /// The digest of the drives on which it is based.
     pub fn digest(&self) -> &str {
         match self {
             Self::Train(it) => &it.digest,
@@ -108,7 +111,8 @@ pub struct Measures {
     pub distance: f64,
     /// Mean of half the squared tracking error, m² (the paper's equation 6).
     pub mse_m2: f64,
-    /// Mean distance of the true pose, or of the measured one where no truth is known, from the nearest point of the path.
+    /// Mean distance of the true pose, or of the measured one if the true pose is unknown, from the nearest point of
+    /// the path.
     pub path_mean_m: f64,
     /// Its 95th percentile.
     pub path_p95_m: f64,

@@ -1,9 +1,9 @@
-//! What differs from run to run.
+//! The part of a result that differs from run to run.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What differs from run to run.
+/// The part of a result that differs from run to run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Run {
     /// Version of pathtune that made the run.
@@ -18,9 +18,9 @@ pub struct Run {
     pub wall_s: f64,
     /// Seconds that the vehicles drove.
     pub vehicle_s: f64,
-    /// Seconds of driving in a second of the run.
+    /// Seconds of driving per second of the run.
     pub real_time_factor: f64,
-    /// Drives as the processes made them.
+    /// The drives that the processes made.
     pub drives: RunDrives,
     /// The processes, in the order in which they started.
     pub processes: Vec<ProcessFacts>,
@@ -32,10 +32,19 @@ pub struct Run {
     pub waiting: String,
 }
 
-/// Drives as the processes of one run made them.
+/// The drives of a run, whatever was killed or resumed on the way.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Drives {
+    /// Drives that were asked for.
+    pub asked: u64,
+    /// Those that were driven rather than answered from memory.
+    pub driven: u64,
+}
+
+/// The drives that the processes of one run made.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RunDrives {
-    /// Drives that were reported, those of a resumed run's earlier part left out.
+    /// Drives that were reported, without those of the earlier part of a resumed run.
     pub reported: u64,
     /// Drives outside the training: of finalists, and of the tuned set for the figures.
     pub beside: u64,

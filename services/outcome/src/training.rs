@@ -1,4 +1,4 @@
-//! What a training has come to.
+//! The result of a training.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Measures, ParameterTable};
 
-/// What a training has come to.
+/// The result of a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrainResult {
     /// The tuner.
@@ -23,25 +23,27 @@ pub struct TrainResult {
     /// The measures of a drive with them, without noise.
     #[serde(flatten)]
     pub measures: Measures,
-    /// Where they stand among all sets of the grid; none where the grid takes too many ticks to be driven.
+    /// Their standing among all sets of the grid; null if the grid takes too many ticks to be driven.
     pub grid: Option<GridStanding>,
-    /// The set that the paper chose for this manoeuvre; none for another law or path.
+    /// The set that the paper chose for this manoeuvre; null for another law or path.
     pub paper: Option<SetStanding>,
-    /// The same training by plain Q-learning, on drives of the grid; none where the grid was not driven.
+    /// The same training by plain Q-learning, on drives of the grid; null if the grid was not driven.
     pub plain_q: Option<Beside>,
-    /// The same training by a random walk, on drives of the grid; none where the grid was not driven.
+    /// The same training by a random walk, on drives of the grid; null if the grid was not driven.
     pub random_walk: Option<Beside>,
-    /// How the set was chosen under noise; none without noise.
+    /// How the set was chosen under noise; null without noise.
     pub noise: Option<NoiseChoice>,
-    /// The drives of the training.
-    pub drives: Drives,
-    /// How each learner learnt, in short; `episodes.csv` and `drives.csv` hold everything.
+    /// Drives that the learners asked for.
+    pub asked: u64,
+    /// Different drives among them: those that a memory does not answer.
+    pub distinct: u64,
+    /// A summary of how each learner learnt; `episodes.csv` and `drives.csv` hold the details.
     pub learners: Vec<LearnerSummary>,
-    /// Drives with the tuned parameters whose recordings lie in the run's folder `drives`.
+    /// Drives with the tuned parameters whose recordings are in the run's folder `drives`.
     pub drives_recorded: Vec<String>,
 }
 
-/// Where the tuned set stands among all sets of the grid.
+/// The standing of the tuned set among all sets of the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GridStanding {
     /// Number of sets.
@@ -54,7 +56,7 @@ pub struct GridStanding {
     pub rank_mse: usize,
     /// 1 + the number of sets with a smaller mean distance from the path.
     pub rank_path: usize,
-    /// Rank by the mean of the objective over noise seeds that nobody has used; none without noise.
+    /// Rank by the mean of the objective over noise seeds that were not used before; null without noise.
     pub rank_mean: Option<usize>,
     /// Least value of the objective.
     pub best_value: f64,
@@ -88,28 +90,19 @@ pub struct SetStanding {
 /// The same training by another tuner, on noise-free drives of the grid.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Beside {
-    /// What it recommends.
+    /// The set that it recommends.
     #[serde(flatten)]
     pub set: SetStanding,
     /// Drives that it asked for.
     pub asked: u64,
-    /// Different sets among them: drives that a memory does not answer.
+    /// Number of different sets among them: drives that memory does not answer.
     pub distinct: u64,
-}
-
-/// The drives of a training.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct Drives {
-    /// Drives that the learners asked for.
-    pub asked: u64,
-    /// Those that were driven rather than answered from memory.
-    pub driven: u64,
 }
 
 /// How one learner learnt.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct LearnerSummary {
-    /// Its learning rate; none for tuners that have none.
+    /// Its learning rate; null for tuners that have none.
     pub alpha: Option<f64>,
     /// The set that it picks.
     #[schemars(with = "ParameterTable")]
@@ -118,7 +111,7 @@ pub struct LearnerSummary {
     pub locked: BTreeMap<String, f64>,
     /// How often each value of each parameter was driven; empty for tuners that do not use the grid.
     pub usage: BTreeMap<String, Vec<Usage>>,
-    /// Drives that it was given.
+    /// Drives that it received.
     pub drives: u32,
     /// Its episodes, or generations.
     pub episodes: u32,
@@ -174,13 +167,13 @@ pub struct Comparison {
     /// The other set.
     #[schemars(with = "ParameterTable")]
     pub gains: NamedParameters,
-    /// Mean difference of the objective: below 0 where the chosen set is better.
+    /// Mean difference of the objective: below 0 if the chosen set is better.
     pub difference: f64,
     /// Lower end of its 95 % bootstrap interval.
     pub low: f64,
     /// Its upper end.
     pub high: f64,
-    /// `better` or `worse` where the interval excludes 0, else `undecided`.
+    /// `better` or `worse` if the interval excludes 0, otherwise `undecided`.
     pub verdict: Verdict,
 }
 
@@ -192,6 +185,6 @@ pub enum Verdict {
     Better,
     /// It lies above 0.
     Worse,
-    /// It holds 0.
+    /// It contains 0.
     Undecided,
 }

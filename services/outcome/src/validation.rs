@@ -1,25 +1,23 @@
-//! What a validation has come to: sets beside the paper's, without noise and with it.
+//! The result of a validation: sets compared with the paper's, without noise and with it.
 
 use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Drives, Measures, ParameterTable};
+use crate::{Measures, ParameterTable};
 
-/// What a validation has come to.
+/// The result of a validation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ValidateResult {
     /// SHA-256 over the reports of all drives.
     pub digest: String,
     /// Noisy drives of each row.
     pub repeats: u64,
-    /// The drives that it made.
-    pub drives: Drives,
     /// The rows.
     pub rows: Vec<ValidatedRow>,
     /// exp of the root mean square of ln(ours / paper's), over all figures that the paper has.
     pub rms_factor: Option<f64>,
-    /// Drives whose recordings lie in the run's folder `drives`.
+    /// Drives whose recordings are in the run's folder `drives`.
     pub drives_recorded: Vec<String>,
 }
 
@@ -49,13 +47,13 @@ pub struct NoiseFree {
     pub along_m2: f64,
     /// Cross-track share of the mse.
     pub cross_m2: f64,
-    /// Largest absolute cross-track error against the reference of the moment.
+    /// Largest absolute cross-track error against the current reference.
     pub max_cross_track_m: f64,
     /// Share of the ticks on which the steering angle was at its limit.
     pub steering_limited: f64,
     /// 1 if the drive ended in a collision, else 0.
     pub collisions: u32,
-    /// Share of the drive's time after which it ended: in a collision, at the goal, or with its time.
+    /// Share of the drive's time after which it ended: in a collision, at the goal, or by time.
     pub driven: f64,
     /// The paper's mse.
     pub paper_mse_m2: Option<f64>,

@@ -17,10 +17,10 @@ use crate::script::{Batch, Order, batches};
 
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
-/// Messages of a topic that one look takes at most.
+/// The largest number of messages of a topic that one look takes.
 const AT_ONCE: usize = 64;
 
-/// The first answer that is not the recorded one.
+/// The first answer that differs from the recorded one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs, reason = "named after what they hold")]
 pub struct Difference {
@@ -33,7 +33,7 @@ pub struct Difference {
     pub replayed: String,
 }
 
-/// What a replay has come to.
+/// The result of a replay.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Outcome {
     /// Ticks that were compared.
@@ -109,7 +109,7 @@ impl<M: Message<Header = TickHeader>> ComparedTopic<M> {
         (self.next_tick, self.difference) = (0, None);
     }
 
-    /// Compares what has come with the recording; whether there was anything.
+    /// Compares what has come with the recording; returns whether anything had come.
     fn compare(&mut self, now: BatchHeader, batch: &Batch, order: &Order) -> Result<bool> {
         for taken in 0..AT_ONCE {
             let message = match self.early.take() {
@@ -160,7 +160,7 @@ fn first_difference<M: Message>(tick: u64, items: &[M], batch: &Batch) -> Option
     }
     let slots = recorded.chunks(size_of::<M>()).zip(bytes.chunks(size_of::<M>())).enumerate();
     for (slot, (was, is)) in slots {
-        // Byte by byte first: the names of all fields are many words for nothing.
+        // Byte by byte first: making the names of all fields is rarely necessary.
         let fields = if was == is { Vec::new() } else { numbers(<M as Layout>::FIELDS) };
         for field in &fields {
             let (was, is) = (value(field, was), value(field, is));
@@ -195,7 +195,7 @@ struct Reviewer {
     run: u64,
     folder: PathBuf,
     order: Order,
-    /// The parameters of each zone, instead of the recorded ones; none of them for the recorded ones.
+    /// The parameters of each zone that replace the recorded ones; empty to keep the recorded ones.
     by_zone: Vec<Parameters>,
     batches: Vec<Batch>,
     /// The batch that is replayed, as an index.
@@ -257,7 +257,8 @@ impl Reviewer {
                     Some(parameters) => parameters.0,
                     None => match recorded {
                         Some(recorded) => recorded.parameters,
-                        // A zone that was not entered then: whatever it gets, the command tells of it.
+                        // A zone that was not entered in the recording: whatever parameters it gets, the command will
+                        // differ.
                         None => batch.requests.get(slot as usize)?.parameters,
                     },
                 };
@@ -288,7 +289,7 @@ impl Reviewer {
         }
         self.reported = None;
         let sides = [self.raw.difference.take(), self.commands.difference.take()];
-        // The raw command comes first in a tick; a stable choice between equals keeps it so.
+        // The raw command comes first in a tick, and a stable choice between equal ticks keeps it first.
         self.outcome.difference =
             sides.into_iter().flatten().min_by_key(|it| (it.tick, it.topic == Command::TOPIC.name));
         let (from, to) = (self.order.from_tick, self.order.to_tick);

@@ -1,4 +1,4 @@
-//! A single drive: what it has come to.
+//! The result of a single drive.
 
 use config::RunConfig;
 use maud::html;
@@ -53,10 +53,10 @@ pub(crate) fn sections(page: &mut Page, drive: &SingleDrive, config: &RunConfig)
                 } },
             ))
             p {
-                (number(drive.driven_s, 1)) " s driven, ended by: " (drive.reason) ", beside "
-                (number(drive.progress * 100.0, 1)) " % of the path. All of the " (poses)
-                " poses; the cross-track error is that against the reference of the moment."
-                @if drive.joined { " The controller was restarted on the way; measures are those since then." }
+                (number(drive.driven_s, 1)) " s driven, ended by: " (drive.reason) ", at "
+                (number(drive.progress * 100.0, 1)) " % of the path. All figures are of the " (poses)
+                " poses; the cross-track error is measured against the current reference."
+                @if drive.joined { " The controller was restarted during the drive; the measures cover the time since then." }
             }
             p {
                 "The commanded steering angle moved by " (number(drive.steering_travel_radps, 3))
@@ -67,6 +67,6 @@ pub(crate) fn sections(page: &mut Page, drive: &SingleDrive, config: &RunConfig)
     );
     if !drive.switches.is_empty() {
         let of = SwitchesOf { name: String::new(), is_chosen: false, switches: &drive.switches };
-        page.section("Changes of parameters on the way", switch_table(config, &[of]));
+        page.section("Changes of parameters during the drive", switch_table(config, &[of]));
     }
 }

@@ -54,7 +54,7 @@ pub(crate) struct DriveSet {
     pub(crate) noisy: Option<Vec<Row>>,
 }
 
-/// Reads every recorded drive of a run, and joins those of one set. A run without recorded drives has no set.
+/// Reads every recorded drive of a run, and joins those of the same set. A run without recorded drives has no set.
 pub(crate) fn read(run: &Path) -> Result<Vec<DriveSet>, ReportError> {
     let folder = run.join("drives");
     let mut paths: Vec<PathBuf> = match fs::read_dir(&folder) {
@@ -81,7 +81,7 @@ pub(crate) fn read(run: &Path) -> Result<Vec<DriveSet>, ReportError> {
     Ok(sets.into_values().collect())
 }
 
-/// The set's name for people, and whether the drive is a noisy one.
+/// The set's name for readers, and whether the drive is a noisy one.
 fn split_name(stem: &str) -> (String, bool) {
     let words: String =
         stem.chars().map(|c| if c == '_' || c.is_control() { ' ' } else { c }).collect();
@@ -96,7 +96,7 @@ fn split_name(stem: &str) -> (String, bool) {
     (if name.is_empty() { "drive" } else { name }.to_owned(), noisy)
 }
 
-/// What was tuned comes first, what it is held against next, everything else by name.
+/// The tuned set comes first, then the sets with which it is compared, then all others by name.
 fn order(name: &str) -> u8 {
     match name {
         _ if name.starts_with("tuned") => 0,

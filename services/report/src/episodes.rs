@@ -30,15 +30,17 @@ struct Row {
     last_value: f64,
 }
 
-/// Reads the episodes of each of so many learners, in the order of their numbers; none if the run's folder has no such
-/// file.
+/// Reads the episodes of each of `learners` learners, in the order of their numbers; `None` if the run's folder has no
+/// such file.
 pub(crate) fn read(run: &Path, learners: usize) -> Result<Option<Vec<Vec<Episode>>>, ReportError> {
     let mut all = vec![Vec::new(); learners];
     let is_there = read_table(&run.join(EPISODES_FILE), |row: Row| {
         let Row { learner, episode, return_, last_value } = row;
         check_numbers([("return", return_), ("last_value", last_value)])?;
         let of = all.get_mut(learner).ok_or_else(|| {
-            format!("learner: {learner}, where result.json tells of {learners}, from 0 on")
+            format!(
+                "learner: is {learner}, but result.json lists {learners} learners, counted from 0"
+            )
         })?;
         of.push(Episode { number: episode, return_, last_value });
         Ok(())

@@ -16,8 +16,8 @@ pub(crate) fn read_result(run: &Path) -> Result<RunResult, ReportError> {
             ReportError::Missing {
                 folder: run.to_owned(),
                 file: RESULT_FILE,
-                advice: "the run has not ended; wait for it, go on with it by `pathtune train --resume` if it is a \
-                         training, or drive it anew",
+                advice: "the run has not ended; wait for it, resume it with `pathtune train --resume` if it is a \
+                         training, or repeat it",
             }
         }
         other => ReportError::result(other),
@@ -41,9 +41,9 @@ pub(crate) fn read_required(
     }
 }
 
-/// Reads a table of comma-separated values, whose header names the columns, and shows each row to `take`, which says what
-/// is wrong with it if anything is. Columns that a row does not ask for are passed over. Returns whether there is such a
-/// file.
+/// Reads a table of comma-separated values, whose header names the columns, and passes each row to `take`, which
+/// returns what is wrong with it, if anything. Columns that the row's type does not have are skipped. Returns whether
+/// there is such a file.
 pub(crate) fn read_table<T: DeserializeOwned>(
     path: &Path,
     mut take: impl FnMut(T) -> Result<(), String>,
@@ -76,12 +76,12 @@ pub(crate) fn read_table<T: DeserializeOwned>(
     Ok(true)
 }
 
-/// Refuses the first number that no picture can show.
+/// Refuses the first number that cannot be drawn.
 pub(crate) fn check_numbers<'a>(
     numbers: impl IntoIterator<Item = (&'a str, f64)>,
 ) -> Result<(), String> {
     match numbers.into_iter().find(|(_, number)| !number.is_finite()) {
-        Some((column, number)) => Err(format!("{column}: {number} is no number that can be drawn")),
+        Some((column, number)) => Err(format!("{column}: {number} cannot be drawn")),
         None => Ok(()),
     }
 }
@@ -90,7 +90,7 @@ fn at(path: &Path, error: &csv::Error) -> ReportError {
     let line = error.position().map(csv::Position::line);
     let problem = match error.kind() {
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            format!("{len} values where the header names {expected_len} columns")
+            format!("{len} values, but the header names {expected_len} columns")
         }
         csv::ErrorKind::Utf8 { .. } => "the text is not UTF-8".to_owned(),
         _ => error.to_string(),

@@ -18,17 +18,17 @@ use crate::standings::{Row, is_objective, objective_title, standings};
 
 /// Name of the file in a run's folder that holds every set.
 const GRID_FILE: &str = "grid.csv";
-/// Sets of a table.
+/// How many sets a table lists.
 const TOP: usize = 10;
 
-/// What the figures show of every set.
+/// The values of every set that the figures show.
 #[derive(Debug, Default)]
 pub(crate) struct Sets {
     values: Vec<f64>,
     path_mean_m: Vec<f64>,
 }
 
-/// Reads every set of the grid, so many of them; none if the run's folder has no such file.
+/// Reads every set of the grid, of which there are `size`; `None` if the run's folder has no such file.
 pub(crate) fn read_sets(run: &Path, size: usize) -> Result<Option<Sets>, ReportError> {
     #[derive(Deserialize)]
     struct Row {
@@ -44,8 +44,7 @@ pub(crate) fn read_sets(run: &Path, size: usize) -> Result<Option<Sets>, ReportE
         Ok(())
     })?;
     if is_there && sets.values.len() != size {
-        let problem =
-            format!("holds {} sets, where result.json tells of {size}", sets.values.len());
+        let problem = format!("holds {} sets, but result.json lists {size}", sets.values.len());
         return Err(ReportError::malformed(&path, None, problem));
     }
     Ok(is_there.then_some(sets))
@@ -69,7 +68,7 @@ pub(crate) fn sections(
             @if !grid.flatness.is_empty() { (flatness(grid.size, &grid.flatness, config)) }
             @if let Some(figures) = figures { div.figures { (figures) } }
             @else {
-                p { "The run’s folder holds no " code { (GRID_FILE) } ": there is no figure of all sets in their order." }
+                p { "The run’s folder holds no " code { (GRID_FILE) } ", so there is no figure of all sets in order." }
             }
         },
     );
@@ -103,7 +102,7 @@ fn best_sets(grid: &GridResult, config: &RunConfig) -> Markup {
     html! {
         p { "All " (integer(size as u64)) " sets of the grid were driven, noise-free." }
         @if any_on_bound { p { "† On a bound of the grid; better values may lie beyond it." } }
-        @if !grid.sets.is_empty() { h3 { "Sets with a name" } (named(&grid.sets)) }
+        @if !grid.sets.is_empty() { h3 { "Named sets" } (named(&grid.sets)) }
         h3 { "By " (config.objective.name) ", the objective" }
         (best(&grid.best))
         @for (measure, title, sets) in others {
@@ -142,7 +141,7 @@ fn flatness(size: usize, rows: &[Flatness], config: &RunConfig) -> Markup {
     )
 }
 
-/// Values of all sets in their order, and where the sets with a name stand among them.
+/// Values of all sets in order, and the places of the named sets among them.
 fn sorted(
     page: &mut Page,
     grid: &GridResult,
@@ -170,7 +169,7 @@ fn sorted(
         }
         let picture = Chart {
             name,
-            words: &format!("All sets in the order of their {by}, over the rank."),
+            words: &format!("All sets in order of their {by}, over the rank."),
             width: WIDE,
             height: 250.0,
             x: Axis::of_ranks(grid.size as f64),
@@ -181,7 +180,7 @@ fn sorted(
             borders: &[],
         }
         .draw()?;
-        Ok::<_, ReportError>(page.figure(picture, &format!("All sets in the order of their {by}.")))
+        Ok::<_, ReportError>(page.figure(picture, &format!("All sets in order of their {by}.")))
     };
     let values = chart("sorted-values", objective, &objective_title(config), sets.values, |set| {
         (set.rank_value, set.measures.value)
@@ -199,10 +198,10 @@ fn sorted(
 
 /// One of the measures whose means are shown.
 struct Effect<'a> {
-    /// The objective that would show the same; none for the objective itself.
+    /// The objective that would show the same; `None` for the objective itself.
     same_as: Option<&'static str>,
     picture: &'static str,
-    /// What its column is called, and its caption.
+    /// Its name in the column's title and in the caption.
     by: &'a str,
     y_name: String,
     share: fn(&MainEffect) -> f64,
@@ -279,7 +278,7 @@ fn main_effects(
         figures.push(page.figure(picture, &caption));
     }
     Ok(html! {
-        p { "The share of the variance over the grid that each parameter explains alone; what is missing to 100 % is their interplay." }
+        p { "The share of the variance over the grid that each parameter explains alone; the remainder to 100 % is due to their interaction." }
         (table(
             html! { tr {
                 th { "parameter" }

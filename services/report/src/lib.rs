@@ -1,8 +1,8 @@
-//! A run's folder as one page: tables, the paper's figures, and what they do and do not prove.
+//! Shows a run's folder as one page: tables, the paper's figures, and what they do and do not prove.
 //!
-//! Reads what a run leaves (`result.json`, `config.toml`, `episodes.csv`, `grid.csv`, `drives/*.csv`) and writes `report/index.html`, which needs nothing
-//! else: pictures and style are part of it, it holds no script, and it asks no other machine for anything. The same pictures
-//! lie beside it as SVG files, for papers.
+//! Reads the files that a run leaves (`result.json`, `config.toml`, `episodes.csv`, `grid.csv`, `drives/*.csv`) and
+//! writes `report/index.html`, which needs nothing else: pictures and style are part of it, it contains no script, and
+//! it requests nothing from other machines. The same pictures are in the same folder as SVG files, for papers.
 
 #![warn(missing_docs)]
 
@@ -34,7 +34,7 @@ use canvas::Picture;
 pub use error::ReportError;
 use page::Page;
 
-/// Writes the report of the run in this folder, over an older one, and returns the path of its page.
+/// Writes the report of the run in this folder, replacing an older one, and returns the path of its page.
 ///
 /// # Errors
 /// If the run has not ended, if one of its files is not what a run writes, or if the report cannot be written. The error is
@@ -47,12 +47,13 @@ use page::Page;
 /// # Ok::<(), report::ReportError>(())
 /// ```
 pub fn write_report(run: &Path) -> Result<PathBuf, ReportError> {
-    // The result first: of a run of an earlier version it says so, where the configuration could only be refused.
+    // The result is read first: if the run is of an earlier version, its error says so; the configuration would only be
+    // refused.
     let result = files::read_result(run)?;
     let text = files::read_required(
         run,
         "config.toml",
-        "it is not the folder of a run; name the one that holds the run's result.json",
+        "it is not the folder of a run; name the folder that holds the run's result.json",
     )?;
     let config = RunConfig::from_resolved(&text)
         .map_err(|error| ReportError::malformed(&run.join("config.toml"), None, error))?;
@@ -65,13 +66,13 @@ pub fn write_report(run: &Path) -> Result<PathBuf, ReportError> {
         replace(&folder.join(format!("{}.svg", picture.name)), &picture.svg)?;
     }
     remove_others(&folder, |stem| pictures.iter().any(|picture| picture.name == stem))?;
-    // The page comes last: whoever sees it sees its pictures too.
+    // The page is written last, so that its pictures exist when the page does.
     let index = folder.join("index.html");
     replace(&index, &html)?;
     Ok(index)
 }
 
-/// The page of a run, and its pictures. `text` is the configuration as it stands in the run's folder.
+/// The page of a run, and its pictures. `text` is the configuration from the run's folder.
 fn page_of(
     run: &Path,
     result: &RunResult,
@@ -83,7 +84,7 @@ fn page_of(
     match &result.decided.outcome {
         Outcome::Train(train) => {
             let episodes = episodes::read(run, train.learners.len())?;
-            train::sections(&mut page, train, &result.run, episodes.as_deref(), config)?;
+            train::sections(&mut page, train, result, episodes.as_deref(), config)?;
         }
         Outcome::Validate(validate) => validate::sections(&mut page, validate, config),
         Outcome::Grid(grid) => {
@@ -96,7 +97,7 @@ fn page_of(
     Ok(page.finish(text))
 }
 
-/// Writes a file beside its place, and puts it there whole.
+/// Writes a file under another name, and then renames it, so that nobody reads half of it.
 fn replace(path: &Path, text: &str) -> Result<(), ReportError> {
     let part = path.with_extension(format!("part-{}", std::process::id()));
     fs::write(&part, text).and_then(|()| fs::rename(&part, path)).map_err(|problem| {
@@ -105,7 +106,7 @@ fn replace(path: &Path, text: &str) -> Result<(), ReportError> {
     })
 }
 
-/// Removes pictures of an older report that this one does not have.
+/// Removes pictures of an older report that this report does not have.
 fn remove_others(folder: &Path, keep: impl Fn(&str) -> bool) -> Result<(), ReportError> {
     let failed = |problem| ReportError::Write { path: folder.to_owned(), problem };
     for entry in fs::read_dir(folder).map_err(failed)? {
@@ -126,7 +127,7 @@ mod tests {
 
     use super::*;
 
-    /// No law but the embedded ones is a valid configuration; the page would show any.
+    /// A valid configuration has one of the embedded laws, but the page could show any law.
     #[test]
     fn the_page_shows_the_names_of_any_law() {
         let names = ["preview_m", "delay_s", "weight", "gain", "offset", "blend"];

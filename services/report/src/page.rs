@@ -1,4 +1,4 @@
-//! The page: its head, its sections one behind the other, its figures and how they are numbered.
+//! The page: its head, its sections one after the other, and its numbered figures.
 
 use config::{LawConfig, NamedParameters, ParameterConfig, RunConfig};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -48,12 +48,12 @@ impl Page {
         Self { title, head, sections: Vec::new(), pictures: Vec::new() }
     }
 
-    /// Adds a section behind the others.
+    /// Adds a section after the others.
     pub(crate) fn section(&mut self, title: &str, body: Markup) {
         self.sections.push(html! { section { h2 { (title) } (body) } });
     }
 
-    /// A numbered figure. The picture is kept as a file too, under a name of its own.
+    /// A numbered figure. The picture is also kept as a file with a unique name.
     pub(crate) fn figure(&mut self, mut picture: Picture, caption: &str) -> Markup {
         let wanted = slug(&picture.name);
         picture.name = wanted.clone();
@@ -84,7 +84,7 @@ impl Page {
                     meta charset="utf-8";
                     meta name="viewport" content="width=device-width, initial-scale=1";
                     title { (self.title) }
-                    // Without it browsers ask the page's host for an icon.
+                    // Without this, browsers request an icon from the page's host.
                     link rel="icon" href="data:,";
                     style { (PreEscaped(STYLE)) }
                 }
@@ -95,7 +95,7 @@ impl Page {
                         section {
                             h2 { "Configuration" }
                             details {
-                                summary { "The resolved configuration: `--config` of it repeats the run" }
+                                summary { "The resolved configuration: passing it with `--config` repeats the run" }
                                 pre { (config) }
                             }
                         }
@@ -107,7 +107,7 @@ impl Page {
     }
 }
 
-/// A name for a file from whatever a file or a run was called.
+/// A name for a file, from any name of a file or a run.
 pub(crate) fn slug(name: &str) -> String {
     let mut slug = String::new();
     for c in name.chars() {
@@ -153,7 +153,7 @@ pub(crate) fn parameter_cells(law: &LawConfig, named: &NamedParameters) -> Marku
     parameter_cells_marked(law, named, &[])
 }
 
-/// The cells of parameters; those that lie on a bound of the grid have a mark.
+/// The cells of parameters; those that lie on a bound of the grid are marked.
 pub(crate) fn parameter_cells_marked(
     law: &LawConfig,
     named: &NamedParameters,
@@ -191,7 +191,7 @@ fn value(named: &NamedParameters, key: &str) -> String {
     named.get(key).map_or_else(|| "–".to_owned(), short)
 }
 
-/// A table that scrolls by itself where the page is narrower.
+/// A table that scrolls by itself if the page is narrower.
 pub(crate) fn table(head: Markup, body: Markup) -> Markup {
     html! {
         div.table { table { thead { (head) } tbody { (body) } } }

@@ -1,4 +1,4 @@
-//! Small plots beside each other, one a parameter; and intervals, one below the other.
+//! Small plots side by side, one for each parameter; and intervals, one below the other.
 
 use crate::ReportError;
 use crate::axis::{Axis, short};
@@ -25,10 +25,10 @@ pub(crate) enum Shown {
     Points,
 }
 
-/// Plots in one row: with more of them, no name and no tick would have room.
+/// The largest number of plots in one row: with more, there would be no room for names and ticks.
 const MOST_IN_A_ROW: usize = 4;
 
-/// Small plots with one common vertical axis, in as many rows as they need: they can be held against each other.
+/// Small plots with a common vertical axis, so that they can be compared, in as many rows as they need.
 pub(crate) fn panels(
     name: &str,
     words: &str,
@@ -70,7 +70,7 @@ pub(crate) fn panels(
     })
 }
 
-/// Values side by side whatever their distance: an axis of places, with as many labels as have room.
+/// Values at equal distances, whatever their differences: an axis of places, with as many labels as there is room for.
 fn places(panel: &Panel, width: f64) -> Axis {
     let count = panel.points.len().max(1);
     let labels: Vec<String> = panel.points.iter().map(|point| short(point.0)).collect();
@@ -111,7 +111,7 @@ pub(crate) fn intervals(
 ) -> Result<Picture, ReportError> {
     const ROW: f64 = 24.0;
     let x = Axis::around(rows.iter().flat_map(|row| [row.mean, row.low, row.high]), 7);
-    // Rows are written from top to bottom, so that the axis runs upwards from the last one.
+    // Rows are drawn from top to bottom, so the axis runs upwards from the last one.
     let y = Axis { low: -0.7, high: rows.len() as f64 - 0.3, ticks: Vec::new() };
     let labels = rows.iter().map(|row| text_width(&row.label)).fold(0.0, f64::max) + 16.0;
     let look = Stroke { marker: Some(Marker::Disc), ..Stroke::solid(NAVY, 1.8) };

@@ -1,4 +1,4 @@
-//! The table of parameter sets that trainings and grids share: a row for each set, with its measures and, where the grid
+//! The table of parameter sets that trainings and grids share: a row for each set, with its measures and, if the grid
 //! was driven, its ranks.
 
 use config::{NamedParameters, RunConfig};
@@ -19,7 +19,7 @@ pub(crate) struct Row<'a> {
     pub(crate) on_bound: &'a [String],
 }
 
-/// Where a set stands among all of the grid.
+/// The ranks of a set among all sets of the grid.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Ranks {
     value: Option<usize>,
@@ -68,7 +68,7 @@ impl<'a> Row<'a> {
         Self { name: name.into(), gains, measures, ranks: set.into(), on_bound }
     }
 
-    /// A set beside the tuned one.
+    /// A set with which the tuned one is compared.
     pub(crate) fn beside(name: impl Into<String>, set: &'a SetStanding) -> Self {
         let SetStanding { gains, measures, .. } = set;
         Self { name: name.into(), gains, measures, ranks: set.into(), on_bound: &[] }
@@ -81,8 +81,8 @@ pub(crate) fn objective_title(config: &RunConfig) -> String {
     format!("{} [{unit}]", config.objective.name)
 }
 
-/// Whether the objective is this measure itself, with nothing added for drives that do not arrive: then one column shows
-/// both.
+/// Whether the objective is this measure itself, with nothing added for drives that do not arrive; then one column
+/// shows both.
 pub(crate) fn is_objective(config: &RunConfig, measure: &str) -> bool {
     config.objective.name == measure && config.objective.cap_wheelbases == 0.0
 }
@@ -92,7 +92,7 @@ pub(crate) fn path_heads() -> Markup {
     html! { th.number { "mean" } th.number { "95 %" } th.number { "largest" } }
 }
 
-/// What stands above them.
+/// The title above them.
 pub(crate) const PATH_GROUP: &str = "distance from the path [m]";
 
 /// The distance from the path: its mean, its 95th percentile and its largest value.
@@ -102,7 +102,7 @@ pub(crate) fn path_cells(of: &Measures) -> Markup {
     }
 }
 
-/// Whether a drive arrived, as tables say it.
+/// Whether a drive arrived, as shown in tables.
 pub(crate) fn arrived(of: &Measures) -> &'static str {
     if of.arrived { "yes" } else { "no" }
 }

@@ -10,9 +10,9 @@ use crate::page::{parameter_cells, parameter_heads, table};
 /// The drive that changed its parameters.
 #[derive(Debug)]
 pub(crate) struct SwitchesOf<'a> {
-    /// What the table calls it; empty where it is the only one.
+    /// Its name in the table; empty if it is the only one.
     pub(crate) name: String,
-    /// Whether its rows stand out.
+    /// Whether its rows are highlighted.
     pub(crate) is_chosen: bool,
     pub(crate) switches: &'a [Switch],
 }

@@ -1,10 +1,10 @@
-//! What a training has come to: its table with the honest notes, how it learnt, and what noise makes of it.
+//! The result of a training: its table with notes on its limits, how it learnt, and the effect of noise.
 
 use std::collections::BTreeMap;
 
 use config::{LawConfig, RunConfig};
 use maud::{Markup, html};
-use outcome::{Comparison, LearnerSummary, NoiseChoice, Run, TrainResult, Verdict};
+use outcome::{Comparison, LearnerSummary, NoiseChoice, RunResult, TrainResult, Verdict};
 
 use crate::ReportError;
 use crate::axis::{Axis, integer, number, optional, short};
@@ -17,16 +17,16 @@ use crate::page::{
 use crate::panels::{Interval, Panel, Shown, intervals, panels};
 use crate::standings::{Ranks, Row, objective_title, standings};
 
-/// Markers stand at every episode up to this many; beyond it they would hide the line.
+/// Up to this many episodes, each has a marker; more markers would hide the line.
 const MOST_MARKERS: usize = 60;
-/// Learners in one picture: so many lines are told apart in print.
+/// The largest number of learners in one picture: that many lines can be distinguished in print.
 const MOST_LINES: usize = 30;
 
-/// Adds the sections of a training to the page. `episodes` are those of each learner; none where the run left no file.
+/// Adds the sections of a training to the page. `episodes` are those of each learner; `None` if the run left no file.
 pub(crate) fn sections(
     page: &mut Page,
     train: &TrainResult,
-    run: &Run,
+    run: &RunResult,
     episodes: Option<&[Vec<Episode>]>,
     config: &RunConfig,
 ) -> Result<(), ReportError> {
@@ -57,7 +57,7 @@ pub(crate) fn sections(
 
 fn result(
     train: &TrainResult,
-    run: &Run,
+    run: &RunResult,
     episodes: Option<&[Vec<Episode>]>,
     config: &RunConfig,
 ) -> Markup {
@@ -78,9 +78,9 @@ fn result(
         (standings(config, train.grid.as_ref().map(|grid| grid.size), rows.into_iter().flatten()))
         (notes(train, run, config))
         @match episodes {
-            None => p { "The run’s folder holds no " code { (EPISODES_FILE) } ": how the learners learnt is not shown." },
+            None => p { "The run’s folder holds no " code { (EPISODES_FILE) } ", so the progress of the learners is not shown." },
             Some(all) if all.iter().all(Vec::is_empty) => {
-                p { code { (EPISODES_FILE) } " holds no episode: how the learners learnt is not shown." }
+                p { code { (EPISODES_FILE) } " holds no episode, so the progress of the learners is not shown." }
             }
             Some(_) => {}
         }
@@ -88,7 +88,8 @@ fn result(
 }
 
 /// What the figures do and do not say.
-fn notes(train: &TrainResult, run: &Run, config: &RunConfig) -> Markup {
+fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
+    let RunResult { drives, run, .. } = run;
     let count = |key: &str| run.recovery.get(key).and_then(|value| value.as_u64()).unwrap_or(0);
     let objective = config.objective.name.as_str();
     html! {
@@ -120,10 +121,9 @@ fn notes(train: &TrainResult, run: &Run, config: &RunConfig) -> Markup {
                 }
             }
             li {
-                "The tuner makes the objective small: " (objective) " (" (config.objective.summary) "). "
+                "The tuner minimises the objective: " (objective) " (" (config.objective.summary) "). "
                 @if objective == "distance" {
-                    "It hardly sees a parameter of the speed, such as the paper’s Kv, because the error along the track is "
-                    "not in it; the mse is the paper’s figure of merit, which does. "
+                    "It does not contain the error along the track; the mse, the paper’s figure of merit, does. "
                 }
                 "A set can be best by one measure and mediocre by another."
             }
@@ -132,8 +132,8 @@ fn notes(train: &TrainResult, run: &Run, config: &RunConfig) -> Markup {
                 "where it is known) to the nearest point of the path, as its mean, its 95th percentile and its largest value."
             }
             li {
-                (integer(train.drives.asked)) " drives asked for, " (integer(train.drives.driven)) " driven, "
-                (integer(run.drives.reissued)) " again behind a crash"
+                (integer(drives.asked)) " drives asked for, " (integer(drives.driven)) " driven, "
+                (integer(run.drives.reissued)) " again after a crash"
                 @if let Some(grid) = &train.grid { "; the grid holds " (integer(grid.size as u64)) }
                 "."
                 @for (name, beside) in [("Plain Q", &train.plain_q), ("The random walk", &train.random_walk)] {
@@ -153,7 +153,7 @@ fn notes(train: &TrainResult, run: &Run, config: &RunConfig) -> Markup {
     }
 }
 
-/// What the page calls a learner: by its learning rate, where it has one.
+/// The name of a learner on the page: its learning rate, if it has one.
 fn name_of(index: usize, learner: &LearnerSummary) -> String {
     match learner.alpha {
         Some(alpha) => format!("α = {}", short(alpha)),
@@ -200,7 +200,7 @@ fn learning(
     let which = if train.learners.len() > MOST_LINES {
         format!("one line for each of the first {MOST_LINES} learners")
     } else {
-        "one line a learner".to_owned()
+        "one line for each learner".to_owned()
     };
     let returns = chart(
         "learning-rewards",
@@ -225,7 +225,7 @@ fn learning(
         @if train.learners.iter().any(|learner| learner.alpha.is_some()) {
             p {
                 "The sum of an episode’s rewards telescopes to 1/(1 + v" sub { "end" } ") − 1/(1 + v" sub { "start" }
-                "), v being the objective, less penalties: it tells its two ends and nothing between them, so that a flat "
+                "), v being the objective, less penalties: it depends only on the two ends of the episode, so that a flat "
                 "curve proves nothing."
             }
         }
@@ -297,7 +297,7 @@ fn under_noise(
     } else {
         let mut labels: Vec<String> =
             finalists.iter().map(|finalist| parameters_text(law, &finalist.gains)).collect();
-        // Beside the names of many parameters there would be no room for the intervals: the table tells them.
+        // The names of many parameters would leave no room for the intervals; they are in the table.
         if labels.iter().any(|label| text_width(label) > 0.4 * WIDE) {
             labels = (1..=labels.len()).map(|place| format!("finalist {place}")).collect();
         }
@@ -322,10 +322,10 @@ fn under_noise(
     Ok(html! {
         p {
             "Each finalist was driven again under noise, " (integer(noise.repeats))
-            " times, each time with the same noise for all of them, and the best mean was chosen."
+            " times, each time with the same noise for all of them, and the set with the best mean was chosen."
             @if has_ranks { " Its rank by the mean is over " (integer(noise.holdout.into())) " other noise seeds." }
-            " The drive gear was engaged from the start, unless the configuration says otherwise; so even the "
-            "noise-free figures are not those of a validation."
+            " The drive gear was engaged from the start, unless the configuration says otherwise; therefore even the "
+            "noise-free figures differ from those of a validation."
         }
         @if let Some(against) = &noise.against_paper { (comparison("the paper’s set", against, config)) }
         (comparison("the set that the tuner recommends by single drives", &noise.against_recommended, config))
@@ -353,13 +353,13 @@ fn under_noise(
     })
 }
 
-/// What a paired difference says of the tuned set.
+/// What a paired difference says about the tuned set.
 fn comparison(other: &str, against: &Comparison, config: &RunConfig) -> Markup {
     let (verdict, why) = match against.verdict {
         Verdict::Better => ("better", "."),
         Verdict::Worse => ("worse", "."),
         Verdict::Undecided => {
-            ("undecided", ". The interval holds 0: neither is shown to be better.")
+            ("undecided", ". The interval contains 0: neither is shown to be better.")
         }
     };
     html! {

@@ -1,4 +1,4 @@
-//! A validation: the paper's table beside ours.
+//! A validation: the paper's table next to ours.
 
 use config::RunConfig;
 use maud::{Markup, html};
@@ -39,7 +39,7 @@ pub(crate) fn sections(page: &mut Page, validate: &ValidateResult, config: &RunC
                 switches: &row.switches,
             })
             .collect();
-        page.section("Changes of parameters on the way", switch_table(config, &drives));
+        page.section("Changes of parameters during the drive", switch_table(config, &drives));
     }
 }
 
@@ -47,7 +47,7 @@ fn name_of(index: usize, row: &ValidatedRow) -> String {
     format!("{}{}", index + 1, if row.chosen_by_paper { " ★" } else { "" })
 }
 
-/// One row of a table: its name, its sets (one line a manoeuvre of the path), and what else it has.
+/// One row of a table: its name, its sets (one line for each manoeuvre of the path), and its other cells.
 fn row_of(config: &RunConfig, index: usize, row: &ValidatedRow, cells: Markup) -> Markup {
     html! {
         tr class=[row.chosen_by_paper.then_some("chosen")] {
@@ -113,9 +113,9 @@ fn notes(validate: &ValidateResult) -> Markup {
             @if let Some(rms) = validate.rms_factor {
                 li { "Over all rows our mse differs from the paper’s by a factor of " (number(rms, 2)) ", root mean square." }
             }
-            li { "Noisy figures are those of " (integer(validate.repeats)) " drives a row, each with a noise of its own." }
+            li { "Noisy figures are from " (integer(validate.repeats)) " drives for each row, each with its own noise." }
             li {
-                "The mse is that of the error against the moving reference. The distance from the path is that of the "
+                "The mse is that of the error against the moving reference. The distance from the path is the distance of the "
                 "vehicle’s pose (the true one, where it is known) to the nearest point of the path."
             }
         }

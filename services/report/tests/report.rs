@@ -214,7 +214,7 @@ fn a_validation_shows_both_tables_and_the_zones() -> Result<()> {
         "<td>3 ★</td>",
         "★ The row that the paper chose.",
         "distance from the path [m]",
-        "<h2>Changes of parameters on the way</h2>",
+        "<h2>Changes of parameters during the drive</h2>",
         "2 roundabout from 12 m",
         "<h2>Drives: chosen</h2>",
     ] {

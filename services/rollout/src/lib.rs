@@ -14,11 +14,11 @@ use tracking::{DriveRecord, ZoneTracker};
 pub struct TickRecord {
     /// What the vehicle reported.
     pub observation: Observation,
-    /// What the controller made of it.
+    /// What the controller computed from it.
     pub decision: Decision,
     /// What the gate passed.
     pub passed: Passed,
-    /// The zone that holds from the next tick on.
+    /// The zone that applies from the next tick on.
     pub zone: usize,
 }
 
@@ -54,7 +54,7 @@ impl Rollout {
         self.drive_with(parameters, noise_seed, |_, _| {})
     }
 
-    /// As [`Rollout::drive`], showing each tick to `each`.
+    /// As [`Rollout::drive`], passing each tick to `each`.
     pub fn drive_with(
         &mut self,
         parameters: Parameters,
@@ -64,7 +64,7 @@ impl Rollout {
         self.drive_scheduled(&[parameters], noise_seed, each)
     }
 
-    /// As [`Rollout::drive_with`], with parameters for each zone of the path; a single set holds in all of them.
+    /// As [`Rollout::drive_with`], with parameters for each zone of the path; a single set is used in all of them.
     ///
     /// # Panics
     /// If there is neither one set nor one for each zone.

@@ -111,7 +111,7 @@ fn commands_are_held_until_they_are_too_old() {
         assert_eq!(setpoint.steering_rad, if is_old { 0.0 } else { 0.1 });
         speeds.push(setpoint.speed_mps);
     }
-    // 2 m/s at 2 m/s² behind 0.1 s of the command's age.
+    // 2 m/s at 2 m/s², after 0.1 s of the command's age.
     assert!(speeds.is_sorted_by(|a, b| a >= b));
     assert!((speeds[59] - 1.0).abs() < 0.03, "{speeds:?}");
     assert_eq!(speeds.last(), Some(&0.0));
@@ -206,7 +206,7 @@ fn a_collision_is_told_until_the_next_request() {
         assert_eq!(sent.status, Odometry::COLLISION);
     }
     assert!(car.request(batch(2), &[DriveRequest::default()], T0 + 3 * TICK));
-    // One of before the drive is none of it.
+    // A collision before the drive does not belong to it.
     car.collide();
     assert_eq!(odometry(car.step(T0 + 3 * TICK)).1.status, 0);
 }
@@ -229,7 +229,7 @@ fn a_restarted_process_goes_on_where_the_car_is() {
     let (header, sent) = odometry(step);
     assert_eq!((header.tick, before.0.tick), (30, 29));
     assert_eq!(sent.measured, before.1.measured);
-    // Until the supervisor is heard it stops by itself, from the speed that it has.
+    // Until a command of the supervisor comes it stops by itself, from its present speed.
     assert_eq!(sent.status, Odometry::OWN_STOP);
     assert_eq!(step.setpoint.unwrap().speed_mps, 2.0);
     let (header, one) = command(30, now, 2.5, 0);

@@ -17,22 +17,22 @@ use crate::missing::driven_by_others;
 use crate::ros::Ros;
 use crate::stop::Setpoint;
 
-/// Commands to stop that the car gets when the process ends, and the time between them.
+/// How many commands to stop the car gets when the process ends; next, the time between them.
 const STOPS: u32 = 5;
 const BETWEEN_STOPS: Duration = Duration::from_millis(20);
 /// Longest time between two looks at the network.
 const LOOK_NS: u64 = 5_000_000;
-/// When something that is missing is told for the first time, and then again.
+/// After how long something missing is reported for the first time; next, the time until it is reported again.
 const FIRST_TOLD_NS: u64 = 2_000_000_000;
 const TOLD_AGAIN_NS: u64 = 10_000_000_000;
-/// Between looks at who is there.
+/// Time between looks at which peers there are.
 const LOOK_AROUND_NS: u64 = 500_000_000;
 
 pub(crate) fn run() -> Result<()> {
     let (attachment, bus, config) = join()?;
-    // Before this process is moved to the ring's core: the network's threads stay where there is room.
+    // Before this process is moved to the ring's core, so that the network's threads stay on the other cores.
     let is_first = attachment.incarnation == 1;
-    // Behind a crash the car must not be left alone for longer than it takes; its driver before us was ourselves.
+    // After a crash the car must not be left alone for longer than necessary; its previous driver was this adapter.
     let ros = Ros::join(&config.vehicle.ros2, is_first)?;
     attachment.take_place();
     let mut adapter = Adapter::new(&attachment, &bus, &config, ros)?;
@@ -47,16 +47,16 @@ struct Adapter {
     reader: Reader,
     car: Car,
     batch_file: PathBuf,
-    /// A drive that a process before this one had begun.
+    /// A drive that an earlier incarnation of this process had begun.
     begun_before: Option<Begun>,
     look_ns: u64,
     notices: Notices,
 }
 
-/// What has been told, so that it is not told on and on.
+/// What has been reported, so that it is not reported all the time.
 struct Notices {
     due_ns: u64,
-    /// When it is told next that odometry, or a reader of the commands, is missing.
+    /// When to report next that odometry, or a reader of the commands, is missing.
     odometry_ns: u64,
     hearers_ns: u64,
     start_ns: u64,
@@ -104,7 +104,7 @@ impl Adapter {
                 Ok(Some(odometry)) => odometry,
                 Err(why) => {
                     self.car.reject();
-                    self.notices.say_failure("an odometry cannot be read", &why);
+                    self.notices.say_failure("an odometry message cannot be read", &why);
                     continue;
                 }
             };
@@ -120,7 +120,7 @@ impl Adapter {
             }
         }
         if self.ros.has_collided() {
-            tracing::warn!("the car tells of a collision");
+            tracing::warn!("the car reports a collision");
             self.car.collide();
         }
     }
@@ -153,7 +153,8 @@ impl Adapter {
         let offset = self.car.offset(now_ns);
         let step = self.car.step(now_ns);
         if let Some(begun) = step.begun {
-            // Written before anybody hears of the drive: whoever comes behind a crash must not begin it again.
+            // Written before any process hears of the drive: the process that is started after a crash must not begin
+            // it again.
             BatchFile::write(&self.batch_file, begun)
                 .with_context(|| format!("failed to write {:?}", self.batch_file))?;
             let off = offset.unwrap_or_default();
@@ -175,16 +176,16 @@ impl Adapter {
     /// Says what is missing.
     ///
     /// # Errors
-    /// If somebody else drives the car, and we have not yet.
+    /// If another program drives the car, and this one has not yet.
     fn tell_what_is_missing(&mut self, now_ns: u64) -> Result<()> {
         self.notices.due_ns = now_ns + LOOK_AROUND_NS;
         let age_ns = self.car.odometry_age_ns(now_ns);
         if age_ns.is_some_and(|age_ns| age_ns < LOOK_AROUND_NS) {
             if !self.notices.has_odometry {
-                tracing::info!("odometry comes");
+                tracing::info!("odometry arrives");
             }
             self.notices.has_odometry = true;
-            // Should it stop, that is told at once.
+            // If it stops, report that at once.
             self.notices.odometry_ns = 0;
         } else if now_ns >= self.notices.odometry_ns {
             self.notices.has_odometry = false;
@@ -193,7 +194,7 @@ impl Adapter {
             match age_ns {
                 None => tracing::warn!("{why}"),
                 Some(age_ns) => {
-                    tracing::warn!("{why}; the last came {:.1} s ago", age_ns as f64 * 1e-9)
+                    tracing::warn!("{why}; the last message came {:.1} s ago", age_ns as f64 * 1e-9)
                 }
             }
         }
@@ -205,7 +206,8 @@ impl Adapter {
         let others = self.ros.other_drivers();
         if others > self.notices.others {
             let why = driven_by_others(self.ros.drive_topic(), others);
-            // Discovery may take longer than a start may. On the road it is too late to leave the car to them.
+            // Discovery may take longer than a start may. Once the car is on the road, it is too late to leave it to
+            // another driver.
             if !self.car.has_driven() && self.begun_before.is_none() {
                 return Err(Refused(why).into());
             }
@@ -237,7 +239,7 @@ impl Notices {
 }
 
 impl Drop for Adapter {
-    /// However this process ends, as long as it can say anything: the car stops.
+    /// However this process ends, as long as it can still send anything, the car stops.
     fn drop(&mut self) {
         if !self.car.has_driven() {
             return;
@@ -292,11 +294,11 @@ impl Service for Adapter {
     }
 }
 
-/// What a restarted process finds of the drive under way.
+/// What a restarted process finds about the drive under way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BatchFile {
-    /// In hexadecimal digits, as everywhere: TOML has no number that large.
+    /// In hexadecimal digits, as everywhere, because TOML has no numbers that large.
     run: String,
     batch: u64,
     attempt: u32,
@@ -315,7 +317,7 @@ impl BatchFile {
         let Begun { attempt: Attempt { run, batch, attempt, .. }, alignment } = begun;
         let run = format!("{run:016x}");
         let text = toml::to_string(&Self { run, batch, attempt, alignment })?;
-        // By rename: there is never half a file.
+        // By rename, so that there is never half a file.
         let new = path.with_extension("new");
         std::fs::write(&new, text)?;
         Ok(std::fs::rename(&new, path)?)

@@ -23,10 +23,10 @@ pub struct RunNames {
 }
 
 impl RunNames {
-    /// A new run's names, its private folder made.
+    /// The names of a new run, whose private folder is created.
     ///
     /// # Errors
-    /// If the folder cannot be made, or belongs to another user.
+    /// If the folder cannot be created, or belongs to another user.
     pub fn create() -> io::Result<Self> {
         // Each RandomState is keyed afresh from the system's randomness.
         let run = RandomState::new().build_hasher().finish() | 1;
@@ -57,7 +57,7 @@ pub fn prefix(run: u64) -> String {
     format!("pathtune_{run:016x}_")
 }
 
-/// The run whose prefix a name in `/dev/shm` carries.
+/// The run whose prefix a name in `/dev/shm` has.
 fn run_of_segment(name: &str) -> Option<u64> {
     let digits = name.strip_prefix("pathtune_")?.get(..16)?;
     u64::from_str_radix(digits, 16).ok()
@@ -85,7 +85,7 @@ fn make_private(folder: &Path) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
         Err(error) => {
             let message =
-                format!("{} cannot be made: {error}; set XDG_RUNTIME_DIR", folder.display());
+                format!("{} cannot be created: {error}; set XDG_RUNTIME_DIR", folder.display());
             return Err(io::Error::new(error.kind(), message));
         }
     }
@@ -120,7 +120,7 @@ fn segments() -> Vec<String> {
     entries.flatten().filter_map(|entry| entry.file_name().into_string().ok()).collect()
 }
 
-/// Removes what dead runs of this user left behind, and tells which runs those were.
+/// Removes what dead runs of this user left behind, and returns those runs.
 ///
 /// A run is alive exactly as long as its orchestrator holds the lock in its folder.
 pub fn sweep_dead_runs() -> Vec<RunNames> {
@@ -187,7 +187,7 @@ fn runs_with_processes() -> Vec<u64> {
 fn is_dead(root: &Path) -> bool {
     match fs::File::open(root.join(LOCK_FILE)) {
         Ok(file) => file.try_lock().is_ok(),
-        // Just being made, or never finished: dead once it is old enough.
+        // Being created just now, or never finished: dead once it is old enough.
         Err(_) => fs::metadata(root)
             .and_then(|meta| meta.modified())
             .ok()

@@ -41,7 +41,7 @@ struct Simulator {
     config: RunConfig,
     slots: Vec<Slot>,
     lockstep: Lockstep,
-    /// What real time adds.
+    /// The additional state in real time.
     clocked: Option<Clocked>,
     counters: Counters,
 }
@@ -50,7 +50,7 @@ struct Slot {
     vehicle: SimulatedVehicle,
     last: Odometry,
     ended: bool,
-    /// In real time: the vehicle stops, because no command is young enough.
+    /// In real time: the vehicle stops, because no command is recent enough.
     own_stop: bool,
 }
 
@@ -106,7 +106,7 @@ impl Simulator {
 }
 
 impl Slot {
-    /// Takes what the sensors tell now: what is published next.
+    /// Reads the sensors: returns what is published next.
     fn observe(&mut self) -> Odometry {
         let Observation { measured, truth, speed_mps, yaw_rate_radps, steering_rad, collision } =
             self.vehicle.observe();

@@ -1,7 +1,7 @@
-//! The supervisor's process: it stands in the command path, and tells the zone.
+//! The supervisor's process: it stands in the command path, and announces the zone.
 //!
-//! In `lockstep` it answers each raw command, and knows vehicle time only. Otherwise it also goes `by_the_clock`: where
-//! no answer is young enough it sends commands of its own.
+//! In `lockstep` it answers each raw command, and knows vehicle time only. Otherwise it also acts `by_the_clock`: if
+//! no answer is recent enough, it sends commands of its own.
 
 mod by_the_clock;
 mod lockstep;
@@ -39,7 +39,8 @@ struct Supervisor {
     rearms: Inlet<Rearm>,
     commands: Outlet<Command>,
     zones: Outlet<Zone>,
-    /// Made before the outlet of `safety`: who meets a newcomer in this order hands it both, or this one alone.
+    /// Made before the outlet of `safety`: publishers notice a new reader in this order, so that it receives both
+    /// histories, or only this one.
     kept_law_states: Outlet<KeptLawState>,
     safety: Outlet<Safety>,
     run: u64,
@@ -52,11 +53,11 @@ struct Supervisor {
     /// Zones that begin with the next tick.
     entered: Vec<Zone>,
     batch: BatchHeader,
-    /// A raw command of a batch whose request has not come yet: the two travel on different topics. So with odometry
-    /// that came before the raw command ahead of it was answered.
+    /// A raw command of a batch whose request has not come yet: the two travel on different topics. Odometry
+    /// that came before the preceding raw command was answered is held in the same way.
     early: Option<Received<RawCommand>>,
     early_odometry: Option<Received<Odometry>>,
-    /// What real time adds to a batch.
+    /// The additional state of a batch in real time.
     clocked: Option<Clocked>,
     counters: Counters,
 }
@@ -66,7 +67,7 @@ struct Slot {
     watch: Watch,
     measured: Pose,
     zone: usize,
-    /// The newest answer, and the tick that it belongs to.
+    /// The newest answer, and the tick to which it belongs.
     raw: RawCommand,
     raw_tick: u64,
     ended: bool,
@@ -170,7 +171,7 @@ fn announce(zones: &Outlet<Zone>, batch: BatchHeader, entered: &[Zone]) -> Resul
 }
 
 impl Slot {
-    /// Takes odometry; whether it could be believed.
+    /// Takes odometry; returns whether it could be believed.
     fn see(&mut self, tick: u64, odometry: &Odometry, joins: bool) -> bool {
         let WirePose { x_m, y_m, yaw_rad } = odometry.measured;
         let pose = Pose { x_m, y_m, yaw_rad };
@@ -186,7 +187,7 @@ impl Slot {
         faults == 0
     }
 
-    /// Takes over what the controller says; the zone that the vehicle has entered, if there is one.
+    /// Takes over what the controller reports; returns the zone that the vehicle has entered, if any.
     fn hear(&mut self, tick: u64, raw: &RawCommand) -> Option<u32> {
         self.raw = *raw;
         self.raw_tick = tick;
@@ -200,8 +201,8 @@ impl Slot {
         is_new.then_some(zone as u32)
     }
 
-    /// What the raw command wants, if it is an answer, within limits; else a command of our own. And whether the raw
-    /// command was no number.
+    /// What the raw command wants, within limits, if it is an answer; otherwise a command of our own. Also returns
+    /// whether the raw command was not finite.
     fn command(&mut self, dt_s: f64, faults: u32, is_answer: bool) -> (Command, bool) {
         let raw = is_answer.then_some(crate::RawCommand {
             speed_mps: self.raw.speed_mps,
@@ -212,7 +213,7 @@ impl Slot {
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
         let change = passed.change;
         let command = Command {
-            // A drive that has ended is no reason to go on.
+            // A slot whose drive has ended does not keep the batch going.
             speed_mps: if self.ended { 0.0 } else { passed.speed_mps },
             yaw_rate_radps: passed.yaw_rate_radps,
             steering_rad: passed.steering_rad,
@@ -242,8 +243,8 @@ impl Service for Supervisor {
         if raw.is_none()
             && let Some(request) = self.requests.receive_newest()?
         {
-            // The last raw command of a batch is sent before its report, and so before the next request: whoever
-            // records is owed its command.
+            // The last raw command of a batch is sent before its report, and so before the next request: the
+            // recorder must still get the command for it.
             while let Some(raw) = self.raw_commands.receive()? {
                 if self.is_of_batch(raw.header(), raw.items().len()) {
                     self.pass(raw.header(), raw.items())?;
@@ -255,7 +256,7 @@ impl Service for Supervisor {
             return Ok(true);
         }
         if self.clocked.is_some() {
-            // In lockstep nothing stops for good.
+            // In lockstep no vehicle is stopped for good.
             if self.hear_rearms()? {
                 return Ok(true);
             }
@@ -264,14 +265,14 @@ impl Service for Supervisor {
         let is_new = raw.is_some();
         let raw = match (raw, self.early.take()) {
             (Some(new), held) => {
-                // What was held belongs to nothing that anybody asked for.
+                // What was held belongs to no batch that was requested.
                 self.counters.dropped += u64::from(held.is_some());
                 Some(new)
             }
             (None, held) => held,
         };
         // The raw command is looked for first: the pose that it answers was there before it. In real time odometry counts
-        // even when nobody answers it.
+        // even if it is never answered.
         if self.clocked.is_some()
             && let Some(odometry) = self.odometry.receive_newest()?
         {
@@ -280,7 +281,7 @@ impl Service for Supervisor {
         let Some(raw) = raw else { return self.look_at_clock() };
         if raw.header().attempt.is_ahead_of(&self.batch.attempt) {
             self.early = Some(raw);
-            // The request that it waits for may be here already, and nobody wakes us for it again.
+            // The request that it waits for may be here already, and there will be no second wake-up for it.
             return Ok(is_new);
         }
         self.pass(raw.header(), raw.items())?;
@@ -330,7 +331,8 @@ mod tests {
 
         see(at(1, 0), 0.25);
         want(at(1, 0), 0);
-        // News, although there is nothing to be done: the request may have come meanwhile, and its wake-up is over.
+        // Counts as progress although there is nothing to do: the request may have come meanwhile, and its wake-up is
+        // over.
         assert!(supervisor.poll().unwrap());
         assert!(!supervisor.poll().unwrap());
         ask(1);
@@ -339,7 +341,7 @@ mod tests {
         assert_eq!(commands.receive().unwrap().unwrap().header().attempt.batch, 1);
         assert_eq!(supervisor.slots[0].measured.x_m, 0.25);
 
-        // The next batch begins before this one's last raw command is answered: each has its own odometry.
+        // The next batch begins before the last raw command of this one is answered: each has its own odometry.
         see(at(1, 1), 0.5);
         want(at(1, 1), Command::ENDED);
         see(at(2, 0), 0.75);
@@ -382,7 +384,7 @@ mod tests {
             while supervisor.poll().unwrap() {}
             kept.receive_newest().unwrap().map(|it| (it.header().attempt, it.items()[0]))
         };
-        // Nothing is known, and nothing is told.
+        // Nothing is known, so nothing is reported.
         assert_eq!(answer(0, None), None);
         let mut state = LawState { tick: 1, count: 2, ..LawState::default() };
         state.numbers[..2].copy_from_slice(&[0.25, -3.0]);

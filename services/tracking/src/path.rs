@@ -61,8 +61,8 @@ impl Segment {
         segment
     }
 
-    /// Square of the distance from (x, y) to the nearest point of the segment. Without an angle: this is asked for in
-    /// every tick of every drive.
+    /// Square of the distance from (x, y) to the nearest point of the segment. Computes no angle, because this is
+    /// called in every tick of every drive.
     #[inline]
     fn apart_squared(&self, x_m: f64, y_m: f64) -> f64 {
         let (dx, dy) = (x_m - self.start.x_m, y_m - self.start.y_m);
@@ -92,7 +92,7 @@ impl Segment {
         (dx * dx + dy * dy).min(ux * ux + uy * uy)
     }
 
-    /// The pose `ahead_m` behind the segment's start, also beyond its end.
+    /// The pose `ahead_m` after the segment's start, also beyond its end.
     fn at(&self, ahead_m: f64) -> Pose {
         let Segment { start, sin, cos, curvature, .. } = *self;
         if curvature == 0.0 {
@@ -110,8 +110,8 @@ impl Segment {
         }
     }
 
-    /// Whether no point of the segment can be as near to (x, y) as the square root of `apart`: it is no
-    /// farther from its start than it is long. Cheap, and never true by rounding alone.
+    /// Whether no point of the segment can be as near to (x, y) as the square root of `apart`: no point of it is
+    /// farther from its start than the segment is long. Cheap, and never true by rounding alone.
     fn is_beyond(&self, x_m: f64, y_m: f64, apart: f64) -> bool {
         const ROUNDING_M: f64 = 1e-6;
         let (dx, dy) = (x_m - self.start.x_m, y_m - self.start.y_m);
@@ -220,11 +220,11 @@ impl Path {
     }
 
     /// The point of the path nearest to a position, among those at most `window_m` away from `near_m`
-    /// along the path: a path that meets itself is told apart by where the vehicle was.
+    /// along the path: where a path meets itself, the vehicle's earlier place decides.
     pub fn project(&self, x_m: f64, y_m: f64, near_m: f64, window_m: f64) -> PathPoint {
         let (low, high) = (near_m - window_m, near_m + window_m);
         let mut best: Option<(f64, PathPoint)> = None;
-        // A path through points has thousands of segments, and the window some dozen.
+        // A path through points has thousands of segments, and the window a few dozen.
         let first =
             self.segments.partition_point(|segment| segment.from_m + segment.length_m < low);
         for segment in &self.segments[first..] {
@@ -253,8 +253,8 @@ impl Path {
 
 /// Follows a position along a path: where it is nearest, from tick to tick.
 ///
-/// The nearest point is looked for around the last one, so that a path which meets itself is told apart by where the
-/// vehicle was.
+/// The search for the nearest point starts from the last one: where a path meets itself, the vehicle's earlier
+/// place decides.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PathFollower {
     /// The segment of the nearest point.
@@ -282,7 +282,7 @@ impl PathFollower {
             let here = &segments[from];
             let (low_m, high_m) =
                 (here.from_m - Self::WINDOW_M, here.from_m + here.length_m + Self::WINDOW_M);
-            // Whoever is as near to a joint as this may be nearest to a point beyond it.
+            // A position this near to a joint may be nearest to a point beyond it.
             let is_near = |(joint_x_m, joint_y_m): (f64, f64), apart_m: f64| {
                 let (dx, dy) = (x_m - joint_x_m, y_m - joint_y_m);
                 let reach_m = apart_m + Self::WINDOW_M;
@@ -314,16 +314,17 @@ impl PathFollower {
         }
     }
 
-    /// Distance along the path of its point nearest to a position, in the segment that it has come to.
+    /// Distance along the path of the point nearest to a position, in the present segment.
     pub fn along_m(&self, path: &Path, x_m: f64, y_m: f64) -> f64 {
         let segment = &path.segments[self.segment];
         segment.from_m + segment.nearest(x_m, y_m)
     }
 }
 
-/// A piece, or the parts of an arc that comes round: on a whole turn a position says nothing of the place along it.
+/// A piece, or the parts of an arc that makes a full turn: on a full turn a position does not determine the place along
+/// it.
 fn parts_of(piece: &Piece) -> Vec<Piece> {
-    /// The longest arc that is left whole, and the longest of its parts otherwise.
+    /// The longest arc that stays in one part, and the largest part of a longer one.
     const WHOLE_DEG: f64 = 355.0;
     const PART_DEG: f64 = 180.0;
     match *piece {
@@ -338,11 +339,11 @@ fn parts_of(piece: &Piece) -> Vec<Piece> {
 
 /// An arc from each point to the next one, as many as there are gaps between them.
 ///
-/// Each turns by as much as the path does around it: half of what the chord before it turns into it, and
-/// half of what it turns into the chord behind. So an arc ends at the next point exactly, and the headings
+/// Each turns by as much as the path does around it: half of the angle between the previous chord and its own, and
+/// half of the angle between its own and the next chord. So an arc ends at the next point exactly, and the headings
 /// of two arcs that meet differ only by how unevenly the path bends.
 fn arcs_through(points: &[[f64; 2]]) -> Vec<Segment> {
-    /// An arc turns by no more than this, where a corner would have it turn back on itself.
+    /// An arc turns by no more than this; at a sharp corner it would otherwise turn back on itself.
     const MOST_TURN_RAD: f64 = std::f64::consts::FRAC_PI_2;
     /// An arc that turns by less is a straight: it leaves the chord by less than a millionth of its length, and
     /// the centre of its circle would lie too far away for the arithmetic.
@@ -360,7 +361,7 @@ fn arcs_through(points: &[[f64; 2]]) -> Vec<Segment> {
         let turn_rad = wrap_angle(chords[behind].1 - chords[before].1);
         2.0 * turn_rad / (chords[before].0 + chords[behind].0)
     };
-    // A circle closed on itself bends at the seam as anywhere; an open end as beside it, a lone chord not at all.
+    // A closed circle bends at the seam as everywhere; an open end bends like its neighbour, a single chord not at all.
     let seam = (points[0] == points[count]).then(|| bend(count - 1, 0));
     let inner: Vec<_> = (1..count).map(|index| bend(index - 1, index)).collect();
     let end = |beside: Option<&f64>| seam.or(beside.copied()).unwrap_or(0.0);
@@ -517,7 +518,7 @@ mod tests {
             let point = path.project(x_m, 0.5, x_m + 1.0, 3.0);
             assert!((point.along_m - x_m).abs() < 1e-6 && point.offset_m == 0.5);
         }
-        // All segments each time would be 2 billion visits.
+        // Visiting all segments each time would be 2 billion visits.
         assert!(started.elapsed().as_secs() < 5);
     }
 

@@ -1,4 +1,4 @@
-//! What is remembered of a drive: mean errors, distances from the path, why it ended.
+//! The record of a drive: mean errors, distances from the path, and why it ended.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,11 +17,11 @@ pub enum EndReason {
     Collision,
 }
 
-/// What is remembered of a drive.
+/// The record of a drive.
 ///
-/// Every mean is over the ticks of the drive; where a collision cut the drive short, the ticks that it
-/// cut off score the last error, else crashing early would pay. Poses are true ones where the vehicle knows them,
-/// else measured ones.
+/// Every mean is over the ticks of the drive. If a collision cut the drive short, each tick that it
+/// cut off counts with the last error; otherwise an early crash would be rewarded. Poses are true ones if the vehicle
+/// knows them, otherwise measured ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriveRecord {
@@ -51,11 +51,11 @@ pub struct DriveRecord {
     pub path_p95_m: f64,
     /// Its largest value.
     pub path_max_m: f64,
-    /// Share of the path, 0 to 1, beside which the drive ended.
+    /// Share of the path, 0 to 1, that had been covered when the drive ended.
     pub progress: f64,
     /// Mean absolute rate of the commanded steering angle.
     pub steering_travel_radps: f64,
-    /// Largest absolute lateral acceleration: speed times yaw rate, as the odometry tells them.
+    /// Largest absolute lateral acceleration: speed times yaw rate, as the odometry reports them.
     pub lateral_acceleration_max_mps2: f64,
 }
 
@@ -141,7 +141,7 @@ pub struct DriveRecorder {
 }
 
 impl DriveRecorder {
-    /// Back to the start, for another drive.
+    /// Returns to the start, for another drive.
     pub fn reset(&mut self) {
         let path_distances = std::mem::take(&mut self.path_distances).cleared();
         *self = Self { path_distances, ..Self::default() };
@@ -156,15 +156,15 @@ impl DriveRecorder {
         self.steering_limited_ticks += u64::from(tick.steering_limited);
         self.path_max = self.path_max.max(tick.path_distance_m);
         self.path_distances.add(tick.path_distance_m);
-        // From 0 on: the wheels of a drive begin straight.
+        // Starts from 0: at the start of a drive the wheels are straight.
         self.steering_travel += (tick.steering_rad - self.last.steering_rad).abs();
         self.lateral_acceleration_max =
             self.lateral_acceleration_max.max(tick.lateral_acceleration_mps2.abs());
         self.last = tick;
     }
 
-    /// Ends the drive, which would have lasted `full_ticks` of `tick_s` each; `progress` is the share of the path beside
-    /// which it ended.
+    /// Ends the drive, which would have lasted `full_ticks` of `tick_s` each; `progress` is the share of the path that
+    /// had been covered.
     pub fn finish(
         &mut self,
         reason: EndReason,
@@ -221,9 +221,9 @@ impl DriveRecorder {
 #[derive(Debug, Clone, PartialEq)]
 struct Samples {
     values: Vec<f32>,
-    /// One value in so many is kept.
+    /// One of every `stride` values is kept.
     stride: u32,
-    /// Values that pass until the next is kept.
+    /// How many values are skipped until the next is kept.
     passing: u32,
 }
 
@@ -260,7 +260,7 @@ impl Samples {
         self.passing = self.stride - 1;
     }
 
-    /// The value below which a share of all lies, between two values interpolated; 0 of none.
+    /// The value below which a share of all values lies, interpolated between two values; 0 if there are none.
     fn percentile(&mut self, share: f64) -> f64 {
         let Some(last) = self.values.len().checked_sub(1) else { return 0.0 };
         let place = share * last as f64;

@@ -5,13 +5,14 @@
 //!
 //! 1. for each drive that it received, in the order of its steps: the law's parameters; `mean_abs_along_m`,
 //!    `mean_abs_cross_m`, `mean_abs_heading_rad`, `along_mse_m2`, `cross_mse_m2`; `ticks`; 1 for a collision, else 0;
-//!    and `trace`, which stands for every pose and every command. They go through a SHA-256 of their own, whose
-//!    32 bytes count;
-//! 2. what it became, as its tuner tells by [`Tuner::digest_into`](crate::Tuner::digest_into). The Q-learning tuners:
-//!    learning rate, steps, Q-table, visits of its entries, visits of the sets, locked places, the set that it picks.
+//!    and `trace`, which covers every pose and every command. They go through a SHA-256 of their own, whose
+//!    32 bytes are hashed;
+//! 2. what it became, as its tuner reports by [`Tuner::digest_into`](crate::Tuner::digest_into). For the Q-learning
+//!   tuners:  learning rate, steps, Q-table, visits of its entries, visits of the sets, locked places, the set that it
+//!   picks.
 //!
-//! Numbers are their bits, lowest byte first. No batch, slot, attempt, process or time is in it, and no measure that came
-//! later: those of [`DriveRecord`] that are not named above stay outside.
+//! Numbers enter as their bits, lowest byte first. The digest contains no batch, slot, attempt, process or time, and no
+//! measure that was added later: those of [`DriveRecord`] that are not named above stay outside.
 
 use config::Parameters;
 use sha2::{Digest, Sha256};
@@ -30,7 +31,7 @@ pub fn digest(training: &Training) -> String {
     to_hex(&digest.finalize())
 }
 
-/// What a learner receives, as it receives it.
+/// Hashes what a learner receives, as it receives it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Received(Sha256);
 

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use config::{ConfigError, Parameters, RunConfig, SweepPlan};
-use outcome::{Drives, Flatness, GridResult, MainEffect, Measures, NamedSet, RankedSet, ValueMean};
+use outcome::{Flatness, GridResult, MainEffect, Measures, NamedSet, RankedSet, ValueMean};
 
 use crate::Ranking;
 use crate::digest::digest_of_drives;
@@ -18,15 +18,15 @@ use crate::wire::Driven;
 /// Name of the file with a row for each set.
 pub const GRID_FILE: &str = "grid.csv";
 
-/// What a sweep of the grid drives, and what its reports come to.
+/// What a sweep of the grid drives, and how its reports become a result.
 #[derive(Debug, Clone)]
 pub struct GridSweep {
     config: RunConfig,
-    /// Sets to be ranked among those of the grid, each with its name.
+    /// Sets to rank among those of the grid, each with its name.
     named: Vec<(&'static str, Parameters)>,
 }
 
-/// Sets of each list of the best.
+/// Length of each list of the best sets.
 const BEST: usize = 10;
 
 /// One measure of a drive.
@@ -59,7 +59,7 @@ impl GridSweep {
             .collect()
     }
 
-    /// What the reports of [`GridSweep::drives`] come to; writes `grid.csv` into the run's folder.
+    /// The result of the reports of [`GridSweep::drives`]; writes `grid.csv` into the run's folder.
     ///
     /// # Errors
     /// If that file cannot be written.
@@ -74,7 +74,6 @@ impl GridSweep {
         Ok(GridResult {
             digest: digest_of_drives(driven, law.count()),
             size: ranking.len(),
-            drives: Drives { asked: driven.len() as u64, driven: driven.len() as u64 },
             best: self.best(&ranking, [VALUE, MSE]),
             best_by_distance: self.best(&ranking, [DISTANCE, MSE]),
             best_by_mse: self.best(&ranking, [MSE, DISTANCE]),
@@ -151,7 +150,7 @@ impl GridSweep {
     }
 }
 
-/// Number of sets above the best by at most this share of it.
+/// Number of sets that exceed the best value by at most this share of it.
 fn within(measures: &[Measures], by: Measure, share: f64) -> usize {
     let least = measures.iter().map(by).fold(f64::INFINITY, f64::min);
     measures.iter().filter(|it| by(it) <= (1.0 + share) * least).count()
@@ -182,7 +181,7 @@ fn main_effect(config: &RunConfig, axis: usize, measures: &[Measures]) -> MainEf
             mean(&values.iter().map(|it| (it - whole) * (it - whole)).collect::<Vec<_>>())
         };
         let total = spread(&all);
-        // Each value of a parameter stands in equally many sets.
+        // Each value of a parameter occurs in the same number of sets.
         if total > 0.0 { spread(means) / total } else { 0.0 }
     };
     let (of_value, of_distance, of_mse, of_path) =

@@ -21,7 +21,7 @@ pub enum JournalError {
     #[error("failed to use the journal {path}: {source}")]
     Io { path: PathBuf, source: io::Error },
     #[error(
-        "the journal {path} is damaged at byte {offset}: {problem}; take it from a backup, or train anew"
+        "the journal {path} is damaged at byte {offset}: {problem}; restore it from a backup, or start the training again"
     )]
     Damaged { path: PathBuf, offset: usize, problem: String },
     #[error(
@@ -29,7 +29,7 @@ pub enum JournalError {
     )]
     Foreign { path: PathBuf },
     #[error(
-        "the journal {path} was made by an earlier version of pathtune; resume with that version, or train anew"
+        "the journal {path} was made by an earlier version of pathtune; resume with that version, or start the training again"
     )]
     Earlier { path: PathBuf },
     #[error("the journal {path} is in use by another training")]
@@ -44,10 +44,10 @@ struct Opening {
 }
 
 const VERSION: u32 = 2;
-/// How long a journal is waited for that somebody else still holds.
+/// How long to wait for a journal that another process still holds.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 
-/// A step. One that was answered from memory holds no drive: an earlier record does.
+/// A step. A step that was answered from memory holds no drive, because an earlier record holds it.
 #[derive(Debug, Serialize, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 struct Record {
@@ -77,8 +77,8 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens or starts the journal of a training, and replays into `training` what it holds; shows each step to `each`.
-    /// `configuration` is a hash of everything that decides the training.
+    /// Opens or starts the journal of a training, and replays what it holds into `training`; passes each step to
+    /// `each`. `configuration` is a hash of everything that determines the training.
     ///
     /// # Errors
     /// If the file cannot be used, is damaged before its last line, or belongs to another configuration.
@@ -125,7 +125,7 @@ impl Journal {
         Ok(journal)
     }
 
-    /// Notes a step; [`Journal::write`] brings it to the file.
+    /// Notes a step; [`Journal::write`] writes it to the file.
     pub fn note(&mut self, taken: &Taken) {
         let Taken { ask, drive, remembered, .. } = taken;
         let driven = (!remembered).then(|| DrivenStep {
@@ -143,21 +143,21 @@ impl Journal {
         self.unwritten.push(b'\n');
     }
 
-    /// Writes what was noted: a crash of the process loses none of it any more.
+    /// Writes what was noted: after this, a crash of the process loses none of it.
     ///
     /// # Errors
-    /// If the disk does not take it.
+    /// If it cannot be written to the disk.
     pub fn write(&mut self) -> Result<(), JournalError> {
         let result = self.file.write_all(&self.unwritten);
         self.unwritten.clear();
         result.map_err(|source| JournalError::Io { path: self.path.clone(), source })
     }
 
-    /// Brings what was written onto the disk, in a thread of its own (a disk may take its time): a power cut
-    /// loses none of it any more. One sync at a time; a failure of the last one is told by the next.
+    /// Syncs what was written to the disk, in a separate thread, because a disk may be slow: after that, a power cut
+    /// loses none of it. There is one sync at a time; the next call reports a failure of the last one.
     ///
     /// # Errors
-    /// If the disk did not take it.
+    /// If it could not be written to the disk.
     pub fn sync(&mut self) -> Result<(), JournalError> {
         if self.syncing.as_ref().is_some_and(|thread| !thread.is_finished()) {
             return Ok(());
@@ -171,7 +171,7 @@ impl Journal {
         Ok(())
     }
 
-    /// The journal's file, to be synced by somebody who can wait for it.
+    /// The journal's file, for a caller that can wait for a sync.
     ///
     /// # Errors
     /// If the system has no descriptor left.
@@ -198,10 +198,10 @@ fn replay(
         // Lines are written whole, so only the last one can be torn: it lacks its end.
         let Some(length) = rest.iter().position(|byte| *byte == b'\n') else { return Ok(offset) };
         let line = &rest[..length];
-        let json = checked(line).ok_or_else(|| damaged("its checksum does not fit"))?;
+        let json = checked(line).ok_or_else(|| damaged("its checksum does not match"))?;
         if offset == 0 {
             let opening: Opening = serde_json::from_slice(json)
-                .map_err(|_| damaged("it does not begin as a journal does"))?;
+                .map_err(|_| damaged("it does not begin like a journal"))?;
             if opening.journal < VERSION {
                 return Err(JournalError::Earlier { path: path.to_owned() });
             }
@@ -219,7 +219,7 @@ fn replay(
     Ok(offset)
 }
 
-/// Takes a step once more.
+/// Replays a step.
 fn take(training: &mut Training, record: &Record) -> Result<Taken, &'static str> {
     let Record { learner, step, driven } = record;
     let taken = match driven {
@@ -258,9 +258,9 @@ mod tests {
         layers.resolve().unwrap()
     }
 
-    /// Trains on from wherever the journal stands; returns the digest.
+    /// Continues the training from where the journal ends; returns the digest.
     fn train(path: &Path, config: &RunConfig, most_drives: usize) -> Result<String, JournalError> {
-        // Driven once for all tests: a training is then a matter of microseconds.
+        // Driven once for all tests: then a training takes only microseconds.
         static RANKING: LazyLock<Ranking> = LazyLock::new(|| Ranking::by_rollout(&self::config()));
         let mut training = Training::new(config, *RANKING.objective());
         let mut journal = Journal::open(path, "c", &mut training, |_| {})?;

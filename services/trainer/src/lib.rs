@@ -1,7 +1,7 @@
-//! The trainer: tuners that propose parameters, the journal that remembers every step, and the process around.
+//! The trainer: tuners that propose parameters, the journal that records every step, and the process around them.
 //!
 //! [`tuners`], [`Training`] and [`Ranking`] are pure; [`journal`] reads and writes one file; [`service`]
-//! joins them to the pipeline. Everything that a training becomes is decided by the configuration and the
+//! joins them to the pipeline. The result of a training is determined by the configuration and the
 //! reports of its drives, never by their order.
 
 mod digest;

@@ -1,7 +1,7 @@
 //! One learner: educated Q-learning (section 2.4 of the paper) as a state machine that waits for drives.
 //!
 //! A learner always wants exactly one drive, or has finished. [`QLearner::learn`] takes that drive and decides
-//! what comes next; nothing else moves it.
+//! what comes next; nothing else changes its state.
 
 use config::{
     ClosestBy, ClosestOver, EpisodeGains, FirstGains, GreedyTies, Grid, GridPosition, Learning,
@@ -35,7 +35,8 @@ pub(crate) struct QLearner {
     position: GridPosition,
     /// The action that led to it.
     action: usize,
-    /// State and value of the objective before that action; none while the coming drive only tells where the learner is.
+    /// State and value of the objective before that action; `None` if the coming drive only shows in which state the
+    /// learner is.
     before: Option<(usize, f64)>,
     closest: f64,
     best: f64,
@@ -88,7 +89,7 @@ impl QLearner {
         }
     }
 
-    /// The step that waits for a drive, and its set; none once the training is over.
+    /// The step that waits for a drive, and its set; `None` once the training is over.
     pub(crate) fn wanted(&self) -> Option<(u32, Parameters)> {
         (!self.is_finished()).then(|| (self.step, self.grid.set(self.position)))
     }
@@ -206,7 +207,7 @@ impl QLearner {
         self.before = Some((state, value));
     }
 
-    /// A locked gain's range is that one value.
+    /// Restricts the range of a locked gain to its one value.
     fn within_locks(&self, mut position: GridPosition) -> GridPosition {
         for (place, locked) in position.0.iter_mut().zip(self.locked) {
             *place = locked.unwrap_or(*place);
@@ -253,7 +254,7 @@ impl QLearner {
         values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// The drive's state: both mean errors in bins, what lies above the limit in the last one.
+    /// The drive's state: both mean errors in bins; the last bin includes everything above the limit.
     fn state(&self, drive: &DriveRecord) -> usize {
         let bins = self.learning.bins as usize;
         let bin = |error: f64, high: f64| ((error / high * bins as f64) as usize).min(bins - 1);
@@ -277,7 +278,7 @@ impl QLearner {
         self.grid.set(match self.learning.pick {
             Pick::LastTerminal => self.terminal_sets.last().copied().unwrap_or(self.position),
             Pick::MostVisited => {
-                // The first of the most visited: the lowest number.
+                // Of equally visited sets the first one, which has the lowest number.
                 let most = self.set_visits.iter().max().copied().unwrap_or_default();
                 let index = self.set_visits.iter().position(|visits| *visits == most);
                 self.grid.position(index.unwrap_or_default())
@@ -301,7 +302,7 @@ impl QLearner {
         add_parameters(digest, &self.pick());
     }
 
-    /// Drives that were asked for and answered.
+    /// Number of drives that were asked for and answered.
     pub(crate) fn drives_taken(&self) -> u32 {
         self.step
     }
@@ -316,7 +317,7 @@ impl QLearner {
         self.episodes
     }
 
-    /// How it learnt, in bounded size.
+    /// A summary of how it learnt, of bounded size.
     pub(crate) fn summary(&self, config: &RunConfig) -> LearnerSummary {
         let axes = self.grid.axes();
         let names = || config.law.keys().map(str::to_owned).enumerate();
@@ -391,7 +392,7 @@ mod tests {
         learn(&mut learner, &drive(1.0));
         assert_eq!(learner.closest, f64::INFINITY);
         assert_eq!((learner.current.steps, learner.episodes), (0, 0));
-        // The second is a step, and any state is closer than none: the first episode ends with it.
+        // The second drive is a step, and any state is closer than none: the first episode ends with it.
         let episode = learn(&mut learner, &drive(2.0)).episode.unwrap();
         assert_eq!((learner.episodes, episode.number, episode.steps), (1, 0, 1));
         assert_eq!(episode.reward_sum, 1.0 / 3.0 - 1.0 / 2.0);
@@ -404,7 +405,7 @@ mod tests {
         learn(&mut learner, &drive(1.0));
         let (state, _) = learner.before.unwrap();
         let entry = state * ACTIONS + learner.action;
-        // Would count if the state were not terminal.
+        // This value would count if the state were not terminal.
         let there = learner.state(&drive(0.5));
         learner.q[there * ACTIONS..(there + 1) * ACTIONS].fill(7.0);
         learn(&mut learner, &drive(0.5));

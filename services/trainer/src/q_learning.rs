@@ -1,5 +1,5 @@
-//! Q-learning over the grid as a tuner: independent learners, one for each learning rate, whose picks are put to the
-//! vote.
+//! Q-learning over the grid as a tuner: independent learners, one for each learning rate, which vote with their
+//! picks.
 
 use std::cmp::Ordering;
 
@@ -11,12 +11,12 @@ use tracking::DriveRecord;
 use crate::q_learner::QLearner;
 use crate::tuners::{Ask, LearnerState, Told, Tuner};
 
-/// In what the tuners of this family differ.
+/// How the tuners of this family differ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Method {
     /// Whether parameters on which the terminal sets agree are locked.
     pub(crate) locks: bool,
-    /// Share of the actions that are chosen at random; none for one that falls from episode to episode, as
+    /// Share of the actions that are chosen at random; `None` for one that falls from episode to episode, as
     /// `learning.epsilon_start` and `epsilon_decay_share` say.
     pub(crate) epsilon: Option<f64>,
 }

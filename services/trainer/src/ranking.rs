@@ -1,4 +1,4 @@
-//! The exhaustive grid: every set, driven by plain calls, as the yardstick of a training.
+//! The exhaustive grid: every set, driven by plain calls, as a yardstick for a training.
 
 use std::cmp::Ordering;
 
@@ -9,20 +9,20 @@ use tracking::{DriveRecord, Objective};
 
 use crate::training::by_values;
 
-/// Whether the whole grid of a configuration is driven: it must take at most `ranking.max_ticks` ticks. A number of
-/// ticks and not a time, because a time would depend on the machine.
+/// Whether the whole grid of a configuration is driven: it must take at most `ranking.max_ticks` ticks. The limit is a
+/// number of ticks, not a time, because a time would depend on the machine.
 pub fn grid_is_driven(config: &RunConfig) -> bool {
     let ticks = u128::from(config.ticks()) * config.grid().len() as u128;
     ticks <= u128::from(config.ranking.max_ticks)
 }
 
-/// The objective of a configuration, told of the grid's drives if it needs them.
+/// The objective of a configuration, with the grid's drives given to it if it needs them.
 pub fn objective_of(config: &RunConfig) -> Objective {
     let objective = Objective::new(config);
     if objective.needs_grid() { *Ranking::by_rollout(config).objective() } else { objective }
 }
 
-/// The noise-free drive of every set of the grid, if the grid is driven; and what a drive is judged by.
+/// The noise-free drive of every set of the grid, if the grid is driven; and the objective.
 #[derive(Debug, Clone)]
 pub struct Ranking {
     config: RunConfig,
@@ -33,7 +33,7 @@ pub struct Ranking {
 }
 
 impl Ranking {
-    /// Drives the grid, where it takes few enough ticks.
+    /// Drives the grid, if it takes few enough ticks.
     pub fn by_rollout(config: &RunConfig) -> Self {
         let grid = config.grid();
         let drives = if grid_is_driven(config) {
@@ -45,7 +45,7 @@ impl Ranking {
         Self::of_drives(config, drives)
     }
 
-    /// A ranking by drives that were made: one for each set of the grid, in its order, or none.
+    /// A ranking by given drives: one for each set of the grid, in its order, or none at all.
     pub(crate) fn of_drives(config: &RunConfig, drives: Vec<DriveRecord>) -> Self {
         let mut objective = Objective::new(config);
         if objective.needs_grid() {
@@ -56,7 +56,7 @@ impl Ranking {
         Self { config: config.clone(), grid: config.grid(), objective, drives, measures }
     }
 
-    /// What a drive is judged by.
+    /// The objective by which a drive is judged.
     pub fn objective(&self) -> &Objective {
         &self.objective
     }
@@ -76,7 +76,7 @@ impl Ranking {
         self.drives.is_empty()
     }
 
-    /// The noise-free drive of a set, driven now if it was not.
+    /// The noise-free drive of a set; it is driven now if it was not driven before.
     pub fn drive(&self, parameters: &Parameters) -> DriveRecord {
         let of_grid = self
             .grid
@@ -103,7 +103,7 @@ impl Ranking {
         1 + self.measures.iter().filter(|it| measure(it) < own).count()
     }
 
-    /// Least value of one measure in the grid; infinite where it was not driven.
+    /// Least value of one measure in the grid; infinite if the grid was not driven.
     pub fn best_by(&self, measure: impl Fn(&Measures) -> f64) -> f64 {
         self.measures.iter().map(measure).fold(f64::INFINITY, f64::min)
     }

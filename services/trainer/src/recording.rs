@@ -1,8 +1,9 @@
-//! Records drives tick by tick, without a gap: what the figures are drawn from.
+//! Records drives tick by tick, without a gap; the figures are drawn from these recordings.
 
 use std::collections::VecDeque;
 use std::fs;
 use std::path::Path;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use ipc_types::{
@@ -44,10 +45,15 @@ pub struct Row {
     pub zone: u32,
 }
 
-/// Messages of a topic that one look takes at most: the vehicle waits for the recorder, not for all of them.
+/// The largest number of messages of a topic that one look takes: the vehicle should not wait until all of them are
+/// taken.
 const AT_ONCE: usize = 64;
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
+
+/// A recording that is not complete this long after its report will never be: a vehicle that does not wait for
+/// the recorder was too fast for it.
+pub(crate) const RECORDING_PATIENCE: Duration = Duration::from_millis(500);
 
 /// Records the drives of a batch that ask for it.
 pub(crate) struct Recorder {
@@ -59,10 +65,18 @@ pub(crate) struct Recorder {
     commands: JoinedTopic<Command>,
     credits: Outlet<Credit>,
     batch: BatchHeader,
+    next: Option<NextBatch>,
     /// The slots that are recorded, each with its learner, its step and what was recorded.
     slots: Vec<Recorded>,
     ticks: u64,
     credited: u64,
+}
+
+/// A batch whose request came while a recording of the batch before was not whole yet.
+struct NextBatch {
+    header: BatchHeader,
+    requests: Vec<DriveRequest>,
+    since_ns: u64,
 }
 
 struct Recorded {
@@ -70,9 +84,11 @@ struct Recorded {
     learner: u32,
     step: u32,
     rows: Vec<Row>,
+    /// Whether somebody has the recording already.
+    is_taken: bool,
 }
 
-/// One of the topics that are joined: what was taken of it and not yet joined with the others.
+/// One of the topics that are joined: what was taken from it but not yet joined with the others.
 struct JoinedTopic<M: Message> {
     inlet: Inlet<M>,
     /// A message of a batch whose request has not come yet: the two travel on different topics.
@@ -92,7 +108,7 @@ impl<M: Message<Header = TickHeader>> JoinedTopic<M> {
         self.next_tick = 0;
     }
 
-    /// Takes what has come; whether there was anything.
+    /// Takes what has come; returns whether there was anything.
     fn take(&mut self, batch: BatchHeader, slots: &[Recorded]) -> Result<bool> {
         for taken in 0..AT_ONCE {
             let message = match self.early.take() {
@@ -108,7 +124,7 @@ impl<M: Message<Header = TickHeader>> JoinedTopic<M> {
                 return Ok(taken > 0);
             }
             let fits = (header.attempt, header.tick) == (batch.attempt, self.next_tick);
-            // Behind a gap nothing fits any more: the drive remains unfinished, and is driven again.
+            // After a gap nothing fits together any more: the drive remains unfinished, and is driven again.
             if !fits || slots.iter().any(|slot| slot.slot >= message.items().len()) {
                 continue;
             }
@@ -130,16 +146,21 @@ impl Recorder {
             commands: JoinedTopic::new(bus)?,
             credits: bus.outlet()?,
             batch: BatchHeader::default(),
+            next: None,
             slots: Vec::new(),
             ticks: 0,
             credited: 0,
         })
     }
 
-    /// Takes over what has come; whether there was anything.
+    /// Takes over what has come; returns whether there was anything.
     pub(crate) fn poll(&mut self) -> Result<bool> {
         if let Some(request) = self.requests.receive_newest()? {
-            self.start_batch(request.header(), request.items());
+            let (header, requests) = (request.header(), request.items().to_vec());
+            self.next = Some(NextBatch { header, requests, since_ns: now_ns() });
+        }
+        if let Some(next) = self.next.take_if(|next| !is_held_up(next, &self.batch, &self.slots)) {
+            self.start_batch(next.header, &next.requests);
         }
         if self.slots.is_empty() {
             return Ok(false);
@@ -179,6 +200,7 @@ impl Recorder {
                     learner: request.learner,
                     step: request.step,
                     rows: Vec::with_capacity(request.ticks as usize),
+                    is_taken: false,
                 }),
         );
     }
@@ -197,17 +219,27 @@ impl Recorder {
         }
     }
 
-    /// The recording of a drive that lasted so many ticks, once it is whole.
+    /// The recording of a drive that lasted `ticks`, once it is complete.
     pub(crate) fn take_whole(&mut self, learner: u32, step: u32, ticks: u64) -> Option<Vec<Row>> {
         let slot = self.slots.iter_mut().find(|it| (it.learner, it.step) == (learner, step))?;
         if (slot.rows.len() as u64) < ticks {
             return None;
         }
-        // The others of the batch may drive on; this one has stood still since.
+        // The other vehicles of the batch may drive on; this one has stood still since.
+        slot.is_taken = true;
         let mut rows = std::mem::take(&mut slot.rows);
         rows.truncate(ticks as usize);
         Some(rows)
     }
+}
+
+/// Whether a batch must wait because the last messages of the one before are still on their way: a command travels one
+/// hop further than the report. A batch that is driven again waits for nothing, and no batch waits for long: a recording
+/// with a gap never becomes whole.
+fn is_held_up(next: &NextBatch, batch: &BatchHeader, slots: &[Recorded]) -> bool {
+    next.header.attempt.batch != batch.attempt.batch
+        && slots.iter().any(|slot| !slot.is_taken)
+        && now_ns() - next.since_ns < RECORDING_PATIENCE.as_nanos() as u64
 }
 
 fn row(
@@ -222,7 +254,7 @@ fn row(
     let measured = pose(odometry.measured);
     let truth =
         if has(odometry.status, Odometry::HAS_TRUTH) { pose(odometry.truth) } else { measured };
-    // The controller tells the error of the measured pose; the reference is where that points to.
+    // The controller reports the error of the measured pose; the reference is the pose to which that error points.
     let apart =
         measured.rotation() * nalgebra::Vector2::new(error.along_track_m, error.cross_track_m);
     let reference = Pose {
@@ -261,7 +293,7 @@ fn row(
 /// Folder of the recorded drives in the run's folder.
 pub(crate) const DRIVES_FOLDER: &str = "drives";
 
-/// Writes a recording: whoever sees the file sees all of it.
+/// Writes a recording, so that nobody reads half of it.
 pub(crate) fn write(run: &Path, name: &str, rows: &[Row]) -> Result<()> {
     let folder = run.join(DRIVES_FOLDER);
     let path = folder.join(format!("{name}.csv"));

@@ -1,8 +1,8 @@
-//! What a training has come to.
+//! The result of a training.
 
 use config::{Parameters, RunConfig};
 use outcome::{
-    Beside, Decided, Drives, GridStanding, NoiseChoice, Outcome, SCHEMA, SetStanding, TrainResult,
+    Beside, Decided, GridStanding, NoiseChoice, Outcome, SCHEMA, SetStanding, TrainResult,
 };
 use tracking::Objective;
 
@@ -10,7 +10,7 @@ use crate::digest::digest;
 use crate::training::train_offline;
 use crate::{Ranking, Training};
 
-/// A result with what heads every result.
+/// A result with the keys that begin every result.
 pub(crate) fn decided(config: &RunConfig, outcome: Outcome) -> Decided {
     Decided {
         schema: SCHEMA,
@@ -23,8 +23,8 @@ pub(crate) fn decided(config: &RunConfig, outcome: Outcome) -> Decided {
     }
 }
 
-/// What a finished training has come to, against the grid where it was driven. Under noise the best of the finalists is
-/// chosen, ranked by its mean if the grid was driven; else the set that the tuner recommends.
+/// The result of a finished training, compared with the grid if that was driven. Under noise the best of the finalists
+/// is chosen, ranked by its mean if the grid was driven; otherwise the set that the tuner recommends.
 pub fn train_result(
     config: &RunConfig,
     training: &Training,
@@ -59,7 +59,8 @@ pub fn train_result(
         plain_q: beside("q", config, ranking),
         random_walk: beside("random-walk", config, ranking),
         noise: choice,
-        drives: Drives { asked: training.asked_drives(), driven: training.driven_drives() },
+        asked: training.asked_drives(),
+        distinct: training.distinct_drives(),
         learners: training.tuner().story(),
         drives_recorded: Vec::new(),
     }
@@ -72,7 +73,7 @@ pub(crate) fn on_bound(config: &RunConfig, parameters: &Parameters) -> Vec<Strin
     places.into_iter().map(|place| config.law.parameters[place].key.clone()).collect()
 }
 
-/// A set without noise, among those of the grid.
+/// The standing of a set, without noise, among those of the grid.
 fn standing(config: &RunConfig, parameters: &Parameters, ranking: &Ranking) -> SetStanding {
     let drive = ranking.drive(parameters);
     let is_driven = !ranking.is_empty();

@@ -1,8 +1,8 @@
 //! The choice under noise: by means instead of single drives.
 //!
-//! One noisy drive says little of a set. So the sets whose drives of the training have the best mean are
-//! driven again, each with the same noise seeds; the best mean of those is chosen, and compared with others
-//! by the differences of drives with the same seed.
+//! One noisy drive says little about a set. So the sets whose drives in the training have the best mean are
+//! driven again, each with the same noise seeds. The set with the best mean of these drives is chosen, and compared
+//! with others by the differences between drives with the same seed.
 
 use config::{Parameters, RunConfig};
 use outcome::{Comparison, Finalist, NoiseChoice};
@@ -18,7 +18,7 @@ use crate::training::by_values;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finalists {
     sets: Vec<Visited>,
-    /// What the tuner recommends by single drives.
+    /// The set that the tuner recommends on the basis of single drives.
     recommended: Parameters,
     paper: Option<Parameters>,
     repeats: u64,
@@ -32,7 +32,7 @@ struct Visited {
 
 impl Finalists {
     /// The sets of a finished training with the best mean of the objective, and after them the set that the tuner
-    /// recommends and the paper's, where they are not among them.
+    /// recommends and the paper's, if they are not among them.
     pub fn new(config: &RunConfig, training: &Training) -> Self {
         let visited = training.visited();
         let mut best: Vec<_> = visited.iter().collect();
@@ -54,7 +54,7 @@ impl Finalists {
         Self { sets, recommended, paper, repeats: config.robust.repeats.into() }
     }
 
-    /// The drives that tell: set by set, each with the noise seeds 1, 2, ….
+    /// The drives that decide: set by set, each with the noise seeds 1, 2, ….
     pub fn drives(&self) -> Vec<PlannedDrive> {
         let of_set = |set: &Visited| {
             let by_zone = vec![set.parameters];
@@ -67,7 +67,7 @@ impl Finalists {
         self.sets.iter().flat_map(of_set).collect()
     }
 
-    /// The set that is chosen by the records of [`Finalists::drives`], and how.
+    /// The set that is chosen by the records of [`Finalists::drives`], and how it was chosen.
     pub fn choose(
         &self,
         config: &RunConfig,
@@ -78,7 +78,7 @@ impl Finalists {
             .chunks(self.repeats as usize)
             .map(|drives| drives.iter().map(|drive| objective.of(drive)).collect())
             .collect();
-        // Only what the training has visited may be chosen; the rest is there for comparison.
+        // Only sets that the training has visited may be chosen; the others are there for comparison.
         let mut order: Vec<usize> = (0..self.sets.len()).collect();
         let cost = |index: usize| (self.sets[index].visits == 0, mean(&values[index]));
         order.sort_by(|a, b| {
@@ -116,12 +116,12 @@ impl Finalists {
     }
 }
 
-/// The first of the noise seeds that nobody has used: far from those of the finalists (1, 2, …), and not among
+/// The first of the noise seeds that were not used before: far from those of the finalists (1, 2, …), and not among
 /// those of a training, which are scattered over 64 bits.
 const FIRST_HOLDOUT_SEED: u64 = 1_000_001;
 
-/// Rank of a set by the mean of the objective over noise seeds that nobody has used: 1 + the number of sets of the grid
-/// that are strictly better. Tells its progress, a share, to `progress`.
+/// Rank of a set by the mean of the objective over noise seeds that were not used before: 1 + the number of sets of the
+/// grid that are strictly better. Passes its progress, as a share, to `progress`.
 ///
 /// Drives millions of ticks, on all cores.
 pub fn rank_mean(

@@ -1,7 +1,7 @@
 //! The gain schedule's process: the trainer's role outside training.
 //!
 //! It asks for the drives of a plan instead of learning, answers each zone with that zone's gains, and writes
-//! what the drives have come to.
+//! the result of the drives.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -51,7 +51,7 @@ struct Schedule {
     subject: Subject,
     sweeping: Sweeping,
     /// Learner of each slot of the batch that was requested last. A predecessor of this process may have asked
-    /// for it: its zones are answered all the same.
+    /// for the batch; its zones are answered all the same.
     batch: (BatchHeader, Vec<u32>),
     /// Zones of a batch whose request has not come yet: the two travel on different topics.
     early: Vec<(BatchHeader, Zone)>,
@@ -69,10 +69,10 @@ enum Subject {
 
 #[derive(Clone, Copy, PartialEq)]
 enum ScheduleStage {
-    /// Nothing was asked for yet.
+    /// No drive was asked for yet.
     Fresh,
     Driving,
-    /// The outcome is written, and was announced.
+    /// The outcome has been written and announced.
     Over,
 }
 
@@ -99,7 +99,7 @@ impl Schedule {
             max_len: attachment.max_len,
             tick_s: config.drive.tick_s,
             ticks: config.ticks(),
-            // A drive in real time goes on without us, and is not made again.
+            // A drive in real time goes on without this process, and is not made again.
             incarnation: if plan.realtime { 0 } else { attachment.incarnation },
         };
         Ok(Self {
@@ -140,7 +140,7 @@ impl Schedule {
         Ok(())
     }
 
-    /// Hears which drives are under way; whether there was anything.
+    /// Learns which drives are under way; returns whether there was anything new.
     fn hear_request(&mut self) -> Result<bool> {
         let Some(request) = self.requests.receive_newest()? else { return Ok(false) };
         if !request.header().attempt.is_of(self.run) {
@@ -160,7 +160,7 @@ impl Schedule {
         Ok(true)
     }
 
-    /// Hears which zones were entered; whether there was anything.
+    /// Learns which zones were entered; returns whether there was anything new.
     fn hear_zones(&mut self) -> Result<bool> {
         let Some(zones) = self.zones.receive()? else { return Ok(false) };
         let header = zones.header();
@@ -192,7 +192,7 @@ impl Schedule {
             let entered = config.path.zones.get(zone.zone as usize);
             let (Some(&parameters), Some(entered)) = (by_zone.get(zone.zone as usize), entered)
             else {
-                // A single set holds in all zones.
+                // A single set is used in all zones.
                 continue;
             };
             let named = config.law.named(&parameters);
@@ -220,7 +220,7 @@ impl Schedule {
         Ok(())
     }
 
-    /// Writes and announces the outcome once all drives are over, else asks for the rest.
+    /// Writes and announces the outcome once all drives are over; until then asks for the rest.
     fn go_on(&mut self) -> Result<()> {
         if self.sweeping.is_recording() {
             return Ok(());
@@ -261,7 +261,7 @@ impl Service for Schedule {
             self.go_on()?;
             return Ok(true);
         }
-        // A zone waits for nobody's answer but this one.
+        // A zone waits only for this answer.
         let mut any = self.hear_request()? | self.hear_zones()?;
         match self.sweeping.poll()? {
             Progress::None => {}

@@ -31,11 +31,11 @@ use crate::{Finalists, PlannedDrive, Ranking, objective_of, rank_mean};
 /// Name of the journal in the run's folder.
 pub const JOURNAL_FILE: &str = "journal";
 
-/// Between two syncs of the journal: what a power cut may cost.
+/// Time between two syncs of the journal: what a power cut may cost.
 const SYNC_NS: u64 = 1_000_000_000;
-/// Remembered steps between two signs of life: some milliseconds of work.
+/// Number of remembered steps between two signs of life: a few milliseconds of work.
 const REMEMBERED_AT_ONCE: usize = 1000;
-/// Between two words on how far the ranking is.
+/// Time between two reports on the progress of the ranking.
 const TELL_NS: u64 = 100_000_000;
 
 /// Runs the process until it is asked to stop.
@@ -59,12 +59,12 @@ struct Trainer {
     max_len: usize,
     folder: PathBuf,
     config: RunConfig,
-    /// Shared only once it has finished, with the thread that ranks.
+    /// Shared with the ranking thread, but only once it has finished.
     training: Arc<Training>,
     journal: Journal,
     story: Story,
     synced_ns: u64,
-    /// Thousandths of the ranking that are done, and when that was told.
+    /// Thousandths of the ranking that are done, and when that was reported.
     ranked: Arc<AtomicU32>,
     told_ns: u64,
     stage: TrainingStage,
@@ -80,13 +80,13 @@ enum TrainingStage {
     Finalists(Sweeping, Finalists),
     /// A thread drives the grid.
     Ranking(JoinHandle<Result<Chosen>>),
-    /// The tuned set is shown.
+    /// The tuned set is driven for the recordings.
     Demonstrating(Sweeping, Box<TrainResult>),
-    /// The outcome is written, and was announced.
+    /// The outcome has been written and announced.
     Over,
 }
 
-/// The set that a training has come to, and its result.
+/// The set that a training has found, and its result.
 struct Chosen {
     parameters: Parameters,
     result: TrainResult,
@@ -133,10 +133,10 @@ impl Trainer {
     }
 
     fn training_mut(&mut self) -> &mut Training {
-        Arc::get_mut(&mut self.training).expect("nobody ranks while drives are taken")
+        Arc::get_mut(&mut self.training).expect("no ranking while drives are taken")
     }
 
-    /// Notes a step for a successor, and for people.
+    /// Notes a step in the journal and in the files for users.
     fn note(&mut self, taken: &Taken) -> Result<()> {
         self.journal.note(taken);
         self.story.add(taken)
@@ -207,7 +207,7 @@ impl Trainer {
             ensure!(drive.is_plausible(), "impossible numbers in a drive report: {report:?}");
             match self.training_mut().take(report.learner, report.step, drive) {
                 Some(taken) => self.note(&taken)?,
-                // It was answered before: a report that was sent again.
+                // It was answered before: the report was sent again.
                 None => self.counters.dropped += 1,
             }
         }
@@ -225,7 +225,7 @@ impl Trainer {
         }
     }
 
-    /// What comes when all learners have finished: under noise the finalists, then the ranking.
+    /// Starts what follows when all learners have finished: under noise the finalists, then the ranking.
     fn after_training(&mut self) -> Result<()> {
         self.story.flush()?;
         if !self.config.noise.enabled {
@@ -256,7 +256,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Goes on behind a sweep whose drives are all over. Whether it was.
+    /// Goes on after a sweep once all of its drives are over. Returns whether they were.
     fn after_sweep(&mut self) -> Result<bool> {
         match std::mem::replace(&mut self.stage, TrainingStage::Over) {
             TrainingStage::Finalists(sweeping, finalists) => match sweeping.driven() {
@@ -288,8 +288,8 @@ impl Trainer {
         Ok(true)
     }
 
-    /// Ranks what was chosen among all sets, in a thread: it may take a while, and the process shows meanwhile
-    /// that it lives.
+    /// Ranks what was chosen among all sets, in a separate thread: it may take a while, and the process must give signs
+    /// of life meanwhile.
     fn rank(
         &self,
         choice: Option<(Parameters, NoiseChoice)>,
@@ -314,7 +314,7 @@ impl Trainer {
         }))
     }
 
-    /// Waits for the ranking; then shows what the tuned set does, in recorded drives.
+    /// Waits for the ranking; then makes recorded drives with the tuned set.
     fn after_ranking(&mut self) -> Result<bool> {
         let TrainingStage::Ranking(thread) =
             std::mem::replace(&mut self.stage, TrainingStage::Over)
@@ -335,7 +335,7 @@ impl Trainer {
                 record: Some(name.to_owned()),
             })
             .to_vec();
-        // Beyond the learners and all finalists.
+        // Numbers above those of the learners and all finalists.
         let first = u32::MAX / 2;
         let sweeping = Sweeping::new(&self.bus, self.place(), first, drives)?;
         self.stage = TrainingStage::Demonstrating(sweeping, Box::new(result));
@@ -343,7 +343,7 @@ impl Trainer {
         Ok(true)
     }
 
-    /// Tells how far the ranking is, where it takes long enough to be told.
+    /// Reports the progress of the ranking, if it takes long enough.
     fn tell_ranking(&mut self) -> Result<()> {
         let now_ns = now_ns();
         if now_ns - self.told_ns < TELL_NS {
@@ -359,7 +359,7 @@ impl Trainer {
     }
 }
 
-/// Writes the decided part of the result, by rename: whoever sees the file sees all of it.
+/// Writes the decided part of the result, by rename, so that nobody reads half of it.
 pub(crate) fn write_outcome(folder: &Path, decided: &Decided) -> Result<()> {
     let path = folder.join(OUTCOME_FILE);
     let whole = path.with_extension("part");
@@ -368,7 +368,7 @@ pub(crate) fn write_outcome(folder: &Path, decided: &Decided) -> Result<()> {
         .with_context(|| format!("failed to write {path:?}"))
 }
 
-/// Hash of everything that decides a training; fleet size, memory and gains that were promoted before do not.
+/// Hash of everything that determines a training; fleet size, memory and gains that were promoted before do not.
 fn fingerprint(config: &RunConfig) -> String {
     let mut config = config.clone();
     config.run.fleet = 0;

@@ -2,7 +2,7 @@
 
 use config::{ConfigError, Parameters, RunConfig, SweepPlan};
 use ipc_types::{DriveReport, Odometry, has};
-use outcome::{Drives, Switch};
+use outcome::Switch;
 use tracking::{EndReason, Objective};
 
 use crate::digest::digest_of_drives;
@@ -19,7 +19,7 @@ pub struct SingleDrive {
 }
 
 impl SingleDrive {
-    /// The drive of a plan, whose only set it is made with.
+    /// The drive of a plan, made with the plan's only set.
     ///
     /// # Errors
     /// If the plan's set is not of the configuration's law.
@@ -28,7 +28,7 @@ impl SingleDrive {
         Ok(Self { config: config.clone(), objective: crate::objective_of(config), sets })
     }
 
-    /// The drive, as the list of drives that it is.
+    /// The drive, as a list of one drive.
     pub fn drives(&self) -> Vec<PlannedDrive> {
         let noise = self.config.noise.enabled;
         vec![PlannedDrive {
@@ -41,14 +41,13 @@ impl SingleDrive {
         }]
     }
 
-    /// What the report comes to.
+    /// The result of the report.
     pub fn result(&self, driven: &Driven, switches: Vec<Switch>) -> outcome::SingleDrive {
         let Driven { report, record } = driven;
         let law = &self.config.law;
         outcome::SingleDrive {
             digest: digest_of_drives(std::slice::from_ref(driven), law.count()),
             gains: self.sets.iter().map(|set| law.named(set)).collect(),
-            drives: Drives { asked: 1, driven: 1 },
             reason: match record.reason {
                 EndReason::Goal => "goal",
                 EndReason::Collision => "collision",

@@ -1,6 +1,6 @@
 //! The story of a training, written as it happens: `episodes.csv` and `drives.csv` in the run's folder.
 //!
-//! A restarted trainer writes both anew while it replays its journal; rows of different learners stand in the order in
+//! A restarted trainer writes both again while it replays its journal. Rows of different learners are in the order in
 //! which the drives came back.
 
 use std::fs::File;
@@ -85,7 +85,7 @@ impl Story {
         Ok(())
     }
 
-    /// Brings what was added to the files.
+    /// Writes what was added to the files.
     pub(crate) fn flush(&mut self) -> Result<()> {
         self.episodes.flush()?;
         self.drives.flush()?;

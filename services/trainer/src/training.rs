@@ -13,15 +13,15 @@ use crate::tuners::{Ask, Told, Tuner, tuner};
 /// A drive that a learner took.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Taken {
-    /// What it had waited for.
+    /// The drive for which it had waited.
     pub ask: Ask,
-    /// What it got.
+    /// The drive that it received.
     pub drive: DriveRecord,
     /// The drive's value by the objective; the smaller the better.
     pub value: f64,
     /// Whether the drive was remembered rather than driven.
     pub remembered: bool,
-    /// What the tuner made of it.
+    /// What the tuner learnt from it.
     pub told: Told,
 }
 
@@ -46,14 +46,12 @@ pub struct Training {
     memory: Option<HashMap<Key, DriveRecord>>,
     /// What each learner has received.
     received: Vec<Received>,
-    /// Drives that were not answered from memory.
-    driven: u64,
-    /// Drives and the sum of their values, by set and learner. Learner by learner, because the order in which learners
-    /// are served must not decide in which order numbers are added.
+    /// Number of drives and the sum of their values, by set and learner. Kept learner by learner, because the order in
+    /// which learners are served must not change the order in which numbers are added.
     visited: HashMap<[u64; MAX_PARAMETERS], Vec<(u32, f64)>>,
 }
 
-/// What makes two drives of one configuration the same: the parameters, and where there is noise, its seed.
+/// What makes two drives of one configuration the same: the parameters, and the seed of the noise, if there is noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Key([u64; MAX_PARAMETERS], Option<u64>);
 
@@ -68,7 +66,6 @@ impl Training {
             objective,
             noise: config.noise.enabled,
             memory: config.run.memo.then(HashMap::new),
-            driven: 0,
             visited: HashMap::new(),
         }
     }
@@ -78,7 +75,7 @@ impl Training {
         &self.law
     }
 
-    /// What drives are judged by.
+    /// The objective by which drives are judged.
     pub fn objective(&self) -> &Objective {
         &self.objective
     }
@@ -93,11 +90,11 @@ impl Training {
         self.tuner.is_finished()
     }
 
-    /// Answers from memory what can be, at most so many steps of it; shows each step to `each`. Whether every
-    /// learner now waits for a drive, or for other learners, or has finished.
+    /// Answers from memory what can be answered, at most `at_most` steps; passes each step to `each`. Returns whether
+    /// every learner now waits for a drive or for other learners, or has finished.
     pub fn remember(&mut self, at_most: usize, mut each: impl FnMut(&Taken)) -> bool {
         let mut steps = 0;
-        // What one learner is told may give another one its next step: a round without any is the last.
+        // The drive of one learner may give another one its next step: a round without any step is the last.
         loop {
             let before = steps;
             for learner in 0..self.tuner.learners() {
@@ -120,7 +117,7 @@ impl Training {
         }
     }
 
-    /// The drives that are waited for: with memory, the same drive only once.
+    /// The drives for which learners wait; with memory, the same drive only once.
     pub fn wanted(&self) -> Vec<Ask> {
         let learners = 0..self.tuner.learners();
         let mut wanted: Vec<Ask> = learners.filter_map(|it| self.tuner.wanted(it)).collect();
@@ -136,7 +133,7 @@ impl Training {
         wanted
     }
 
-    /// Hands a drive to the learner that waits for it. Returns the step, or none if nobody waits for that
+    /// Hands a drive to the learner that waits for it. Returns the step, or `None` if no learner waits for that
     /// drive (any more).
     pub fn take(&mut self, learner: u32, step: u32, drive: DriveRecord) -> Option<Taken> {
         let ask = self.asked(learner, step)?;
@@ -144,12 +141,11 @@ impl Training {
         if let Some(memory) = &mut self.memory {
             memory.insert(key, drive);
         }
-        self.driven += 1;
         Some(self.tell(ask, drive, false))
     }
 
-    /// Hands a drive from memory to the learner that waits for it. Returns the step, or none if nobody waits for that
-    /// drive or nobody made it.
+    /// Hands a drive from memory to the learner that waits for it. Returns the step, or `None` if no learner waits for
+    /// that drive or it was never made.
     pub fn take_remembered(&mut self, learner: u32, step: u32) -> Option<Taken> {
         let ask = self.asked(learner, step)?;
         let drive = *self.memory.as_ref()?.get(&self.key(&ask))?;
@@ -185,15 +181,10 @@ impl Training {
         self.received[learner as usize].hash()
     }
 
-    /// Drives that learners were given.
+    /// Number of drives that learners received.
     pub fn asked_drives(&self) -> u64 {
         let learners = 0..self.tuner.learners();
         learners.map(|learner| u64::from(self.tuner.state(learner).drives)).sum()
-    }
-
-    /// Those of them that were driven rather than remembered.
-    pub fn driven_drives(&self) -> u64 {
-        self.driven
     }
 
     /// The sets that learners have driven, in the order of [`by_values`].
@@ -210,13 +201,13 @@ impl Training {
         sets
     }
 
-    /// The number of different drives: those that a memory would not answer.
+    /// The number of different drives among them: those that memory would not answer. Under noise no two are the same.
     pub fn distinct_drives(&self) -> u64 {
-        self.memory.as_ref().map_or(self.driven, |memory| memory.len() as u64)
+        if self.noise { self.asked_drives() } else { self.visited.len() as u64 }
     }
 }
 
-/// The order of sets by their first value, then by their second, and so on: that of their numbers in a grid.
+/// The order of sets by their first value, then by their second, and so on: the order of their numbers in a grid.
 pub fn by_values(a: &Parameters, b: &Parameters) -> Ordering {
     let compared = a.0.iter().zip(&b.0).map(|(a, b)| a.total_cmp(b));
     compared.fold(Ordering::Equal, Ordering::then)
@@ -272,7 +263,8 @@ mod tests {
         let without =
             train_by_rollout(&config("lane_change", &[short[0], short[1], "run.memo=false"]));
         assert_eq!(digest(&with), digest(&without));
-        assert!(with.driven_drives() < without.driven_drives());
+        assert!(with.distinct_drives() < with.asked_drives());
+        assert_eq!(with.distinct_drives(), without.distinct_drives());
         let noisy = [short[0], short[1], "noise.enabled=true"];
         assert_ne!(digest(&with), digest(&train_by_rollout(&config("lane_change", &noisy))));
     }
@@ -291,7 +283,7 @@ mod tests {
 
     #[test]
     fn the_digest_s_list_of_fields_is_frozen() {
-        // Made-up drives, so that no change of the vehicle or of a law moves it.
+        // Made-up drives, so that the digest does not depend on the vehicle or a law.
         let config = config("lane_change", &["learning.episodes=3", "run.alphas=[0.1,0.5]"]);
         let training = train_offline(&config, Objective::new(&config), |ask| {
             let cross_m = ask.parameters.0[0] / 10.0;
@@ -301,7 +293,7 @@ mod tests {
                 mean_abs_heading_rad: 0.25,
                 cross_mse_m2: cross_m * cross_m,
                 trace: 7,
-                // Measures that came later.
+                // Measures that were added later.
                 path_mean_m: f64::from(ask.step),
                 progress: f64::from(ask.step),
                 ..DriveRecord::default()
@@ -312,7 +304,7 @@ mod tests {
 
     const FROZEN: &str = "963a2cce06d48003906c6d26ec441e681af012e347680aa1c7ec880d3cff095c";
 
-    /// Seeds 1–20 whose recommended set lies in the best 1 % of the grid by distance.
+    /// How many of the seeds 1–20 recommend a set in the best 1 % of the grid by distance.
     fn seeds_in_best_percent(maneuver: &str, tuner: &str) -> usize {
         let mut config = config(maneuver, &[]);
         config.learning.tuner = tuner.to_owned();

@@ -1,7 +1,7 @@
-//! Parameter sets beside the paper's: without noise, and with it.
+//! Parameter sets compared with the paper's: without noise, and with it.
 
 use config::{ConfigError, PaperRow, Parameters, RunConfig, SweepPlan};
-use outcome::{Drives, NoiseFree, Noisy, Switch, ValidateResult, ValidatedRow};
+use outcome::{NoiseFree, Noisy, Switch, ValidateResult, ValidatedRow};
 use tracking::Objective;
 
 use crate::digest::digest_of_drives;
@@ -10,7 +10,7 @@ use crate::statistics::{Estimate, mean};
 use crate::sweep::PlannedDrive;
 use crate::wire::Driven;
 
-/// What a validation drives, and what its reports come to.
+/// What a validation drives, and how its reports become a result.
 #[derive(Debug, Clone)]
 pub struct Validation {
     config: RunConfig,
@@ -20,7 +20,7 @@ pub struct Validation {
 }
 
 impl Validation {
-    /// The rows of a plan; those of the paper's table where it names none.
+    /// The rows of a plan, or those of the paper's table if it names none.
     ///
     /// # Errors
     /// If the plan's sets are not of the configuration's law.
@@ -34,7 +34,7 @@ impl Validation {
     }
 
     /// The drives: row by row, first without noise, then with the noise seeds 1, 2, …. The row that the paper
-    /// chose is recorded, or the first one where it is not among them.
+    /// chose is recorded, or the first row if that is not among them.
     pub fn drives(&self) -> Vec<PlannedDrive> {
         let chosen = self.rows.iter().position(|row| self.paper(row).is_some_and(|it| it.chosen));
         let shown = chosen.unwrap_or_default();
@@ -58,13 +58,13 @@ impl Validation {
         drives
     }
 
-    /// Whether drive number `index` is without noise, and whose: the row's number.
+    /// The number of the row, if drive number `index` is without noise.
     pub fn noise_free_row(&self, index: usize) -> Option<usize> {
         let drives_of_row = self.repeats as usize + 1;
         index.is_multiple_of(drives_of_row).then_some(index / drives_of_row)
     }
 
-    /// Rows of the table.
+    /// Number of rows in the table.
     pub fn len(&self) -> usize {
         self.rows.len()
     }
@@ -74,7 +74,7 @@ impl Validation {
         self.rows.is_empty()
     }
 
-    /// What the reports of [`Validation::drives`] come to; `switches` are those of each row.
+    /// The result of the reports of [`Validation::drives`]; `switches` are those of each row.
     pub fn result(&self, driven: &[Driven], switches: &[Vec<Switch>]) -> ValidateResult {
         let rows: Vec<ValidatedRow> = self
             .rows
@@ -93,7 +93,6 @@ impl Validation {
         ValidateResult {
             digest: digest_of_drives(driven, self.config.law.count()),
             repeats: self.repeats,
-            drives: Drives { asked: driven.len() as u64, driven: driven.len() as u64 },
             rms_factor: (!logs.is_empty()).then(|| libm::exp(square.sqrt())),
             rows,
             drives_recorded: Vec::new(),

@@ -1,9 +1,9 @@
-//! Reports as they come over the wire, turned into what the rest of the trainer works with: here, once.
+//! Turns reports as they come over the wire into what the rest of the trainer works with; this happens only here.
 
 use ipc_types::DriveReport;
 use tracking::{DriveRecord, EndReason};
 
-/// A drive of a list that was driven: its report, and what is remembered of it.
+/// A drive of a list that was made: its report, and its record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Driven {
     /// The report.
@@ -18,7 +18,7 @@ impl From<DriveReport> for Driven {
     }
 }
 
-/// What a report says of the drive.
+/// The record of the drive that a report describes.
 pub(crate) fn record_of(report: &DriveReport) -> DriveRecord {
     DriveRecord {
         ticks: report.ticks,

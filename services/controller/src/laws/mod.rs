@@ -1,7 +1,8 @@
 //! Control laws: what turns the sight of one tick into a command.
 //!
 //! A law is a file of this folder with its row in the table below, and a file of `config/laws` that names its
-//! parameters and settings. Whatever a law looks at it finds in [`Sight`]; what it does not ask for is not computed.
+//! parameters and settings. Everything that a law may look at is in [`Sight`]; what a law does not ask for is not
+//! computed.
 
 mod paper;
 mod stanley;
@@ -29,7 +30,7 @@ pub struct LawState {
 }
 
 impl LawState {
-    /// The most numbers that a state holds.
+    /// How many numbers a state can hold.
     pub const MOST: usize = 64;
 
     /// A state of these numbers.
@@ -56,15 +57,15 @@ trait Law: Clone {
     /// The law of a configuration, at the start of a drive.
     fn new(config: &RunConfig) -> Self;
 
-    /// Forgets everything but the steering angle that was commanded last: 0 at the start of a drive, something else when
-    /// a stopped vehicle drives on.
+    /// Forgets everything except the steering angle that was commanded last: 0 at the start of a drive, another value
+    /// when a stopped vehicle drives on.
     fn restart(&mut self, steering_rad: f64);
 
     /// What a successor needs to go on.
     fn state(&self) -> LawState;
 
-    /// Goes on from another process's [`Law::state`]. Numbers come from outside: they are finite, and nothing else is
-    /// known of them.
+    /// Goes on from another process's [`Law::state`]. The numbers come from outside: they are finite, and nothing else
+    /// is known about them.
     fn resume(&mut self, state: &LawState);
 
     /// One tick: the command, with the parameters in the order of the law's file in `config/laws`.
@@ -74,7 +75,8 @@ trait Law: Clone {
 /// The table of laws: the name of the file in `config/laws`, and the type that commands.
 macro_rules! laws {
     ($($name:literal => $kind:ident($law:ty)),+ $(,)?) => {
-        /// The law of a configuration: one of the table, chosen once. A tick costs one branch that is always taken alike.
+        /// The law of a configuration: one row of the table, chosen once. A tick costs one branch that always goes the
+        /// same way.
         #[derive(Debug, Clone)]
         enum Kind {
             $($kind($law)),+
@@ -84,7 +86,7 @@ macro_rules! laws {
             fn new(config: &RunConfig) -> Self {
                 match config.law.name.as_str() {
                     $($name => Self::$kind(Law::new(config)),)+
-                    other => panic!("the law {other} has a file in config/laws and no row here"),
+                    other => panic!("the law {other} has a file in config/laws but no row here"),
                 }
             }
 
@@ -129,12 +131,12 @@ impl ControlLaw {
         Self(Kind::new(config))
     }
 
-    /// Back to the start of a drive.
+    /// Returns to the start of a drive.
     pub fn reset(&mut self) {
         self.restart(0.0);
     }
 
-    /// Forgets everything but the steering angle that was commanded last.
+    /// Forgets everything except the steering angle that was commanded last.
     pub fn restart(&mut self, steering_rad: f64) {
         self.0.restart(steering_rad);
     }
@@ -177,7 +179,7 @@ mod tests {
         assert_eq!(known, rows);
     }
 
-    /// Ten ticks with the car beside the path; what each commands.
+    /// The commands of ten ticks, with the car next to the path.
     fn drive(law: &mut ControlLaw, config: &RunConfig, from_tick: u64) -> Vec<RawCommand> {
         let mut reference = Reference::new(config);
         let parameters = config.law.defaults();

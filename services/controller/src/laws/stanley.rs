@@ -14,7 +14,7 @@ use crate::Sight;
 pub(super) struct Stanley {
     steering_limit_rad: f64,
     wheelbase_m: f64,
-    /// Whether errors are those at the nearest point of the path, and not against the moving reference.
+    /// Whether errors are measured at the nearest point of the path instead of against the moving reference.
     nearest: bool,
     steering_rad: f64,
 }
@@ -58,7 +58,7 @@ impl Law for Stanley {
         self.steering_rad = phi;
         let behind_m = sight.reference_along_m() - sight.projection().along_m;
         let speed_mps = sight.reference_speed_mps() + kv * behind_m;
-        // What a car with these wheels would turn at: the command tells it, the wheels decide.
+        // The yaw rate of a car with these wheels: the command reports it, but the wheels decide.
         let yaw_rate_radps = sight.speed_mps * libm::tan(phi) / self.wheelbase_m;
         RawCommand { speed_mps, yaw_rate_radps, steering_rad: phi }
     }

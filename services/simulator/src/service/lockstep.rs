@@ -10,7 +10,7 @@ use super::Slot;
 
 /// What the next tick waits for.
 pub(super) struct Lockstep {
-    /// Header of the odometry that waits for its command; none between batches.
+    /// Header of the odometry that waits for its command; `None` between batches.
     waiting: Option<TickHeader>,
     /// What the batch's recorders allow.
     allowance: Allowance,
@@ -36,7 +36,7 @@ impl Lockstep {
         self.publish(first, header)
     }
 
-    /// Whether there is nothing to wait for but a command.
+    /// Whether it waits only for a command.
     pub(super) fn awaits_command(&self) -> bool {
         self.waiting.is_some() && self.held_back.is_none()
     }
@@ -46,7 +46,7 @@ impl Lockstep {
         self.held_back
     }
 
-    /// Applies the commands of the odometry that waits for them for one tick, and publishes the next.
+    /// Applies for one tick the commands for which the odometry waits, and publishes the next odometry.
     pub(super) fn obey(
         &mut self,
         header: TickHeader,
@@ -105,7 +105,7 @@ impl Lockstep {
         counters: &mut Counters,
     ) -> Result<bool> {
         let mut any = false;
-        // All of them: the newest one may be another recorder's.
+        // Takes all of them: the newest one may be another recorder's.
         while let Some(credit) = credits.receive()? {
             any = true;
             let header = credit.header();
@@ -123,7 +123,7 @@ impl Lockstep {
         Ok(any)
     }
 
-    /// Sends odometry, unless a recorder has not got so far; then it is to be written again.
+    /// Sends odometry, unless a recorder has not got that far; then it must be written again later.
     fn publish(&mut self, written: Written<Odometry>, header: TickHeader) -> Result<()> {
         if !self.allowance.allows(header.tick) {
             self.held_back = Some(header);

@@ -1,5 +1,5 @@
-//! The supervisor in real time: it passes answers that are young enough, and where there is none it sends commands of its
-//! own. It keeps what a controller needs that joins a drive.
+//! The supervisor in real time: it passes answers that are recent enough, and if there is none it sends commands of its
+//! own. It keeps what a controller needs to join a drive.
 
 use anyhow::Result;
 use ipc_types::{
@@ -13,16 +13,16 @@ use super::{Supervisor, announce};
 pub(super) struct Clocked {
     /// Header of the newest odometry.
     seen: Option<TickHeader>,
-    /// Stamp of the odometry that the newest answer belongs to; that of the first odometry before there is one.
+    /// Stamp of the odometry to which the newest answer belongs; before the first answer, that of the first odometry.
     answered_ns: u64,
     /// The newest answer, and the ticks' reference with it.
     has_reference: bool,
     /// When the last command was sent; 0 before the first.
     sent_ns: u64,
-    /// Whether the drives had begun before this process did, and no answer has told yet how they stand.
+    /// Whether the drives had begun before this process did, and no answer has reported their state yet.
     joins: bool,
-    /// The laws' newest states, one a slot; empty before the first. Not in the slots: no other mode has them, and a fleet
-    /// is to fit into the cache.
+    /// The laws' newest states, one for each slot; empty before the first. Not in the slots, because no other mode has
+    /// them, and a fleet should fit into the cache.
     law_states: Vec<KeptLawState>,
 }
 
@@ -39,12 +39,12 @@ impl Clocked {
         }
     }
 
-    /// Whether an answer has been heard.
+    /// Whether an answer has been received.
     pub(super) fn has_reference(&self) -> bool {
         self.has_reference
     }
 
-    /// [`Safety::ODOMETRY_STALE`] if there is no odometry that is young enough.
+    /// [`Safety::ODOMETRY_STALE`] if there is no odometry that is recent enough.
     fn odometry_faults(&self, now_ns: u64, age_limit_ns: u64) -> u32 {
         let seen_ns = self.seen.map_or(0, |seen| seen.odometry_sent_ns);
         let is_stale = now_ns.saturating_sub(seen_ns) > age_limit_ns;
@@ -53,7 +53,7 @@ impl Clocked {
 }
 
 impl Supervisor {
-    /// Answers a raw command, if it is young enough.
+    /// Answers a raw command, if it is recent enough.
     pub(super) fn pass_by_the_clock(
         &mut self,
         header: TickHeader,
@@ -68,7 +68,7 @@ impl Supervisor {
         self.send(header, received_ns, true)
     }
 
-    /// Takes odometry, whether or not anybody answers it.
+    /// Takes odometry, whether or not the controller answers it.
     pub(super) fn see(&mut self, header: TickHeader, odometry: &[Odometry]) {
         if !self.is_of_batch(header, odometry.len()) {
             return;
@@ -87,17 +87,17 @@ impl Supervisor {
         }
     }
 
-    /// Whether an answer is young enough to be passed, and newer than the one before.
+    /// Whether an answer is recent enough to be passed, and newer than the one before.
     fn is_young(&self, header: TickHeader, now_ns: u64) -> bool {
         let Some(clocked) = &self.clocked else { return true };
         let stamp_ns = header.odometry_sent_ns;
         now_ns.saturating_sub(stamp_ns) <= self.answer_age_limit_ns
             && stamp_ns >= clocked.answered_ns
-            // A stamp from the future would stay young for ever.
+            // A stamp from the future would count as recent for ever.
             && stamp_ns <= now_ns
     }
 
-    /// Takes over what the controller says, and announces zones that begin with the next tick, before this tick's
+    /// Takes over what the controller reports, and announces zones that begin with the next tick, before this tick's
     /// command.
     fn hear_out(&mut self, header: TickHeader, raw: &[RawCommand]) -> Result<()> {
         let mut joins = false;
@@ -123,7 +123,7 @@ impl Supervisor {
         announce(&self.zones, self.batch, &self.entered)
     }
 
-    /// Takes over what the laws must not lose. It was sent before the raw command.
+    /// Takes over the state that the laws must not lose. It was sent before the raw command.
     fn keep_law_states(&mut self) -> Result<()> {
         let Some(states) = self.law_states.receive_newest()? else { return Ok(()) };
         let len = states.items().len();
@@ -141,7 +141,8 @@ impl Supervisor {
         Ok(())
     }
 
-    /// Sends a command in real time: what the raw command wants, if it is an answer, within limits; else one of our own.
+    /// Sends a command in real time: what the raw command wants, within limits, if it is an answer; otherwise one of
+    /// our own.
     fn send(&mut self, header: TickHeader, received_ns: u64, is_answer: bool) -> Result<()> {
         let now = now_ns();
         let (mut dt_s, mut faults) = (self.tick_s, 0);
@@ -159,18 +160,18 @@ impl Supervisor {
             TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now, ..header };
         self.commands.send(header, slots.len(), |index| {
             let slot = &mut slots[index];
-            // Behind a rearm the reference stands still until the controller has heard of it.
+            // After a rearm the reference stands still until the controller has heard of it.
             let is_frozen = has(slot.raw.flags, RawCommand::FROZEN);
             let (command, rejected) = slot.command(dt_s, faults, is_answer && !is_frozen);
             counters.rejected += u64::from(rejected);
             command
         })?;
-        // Every command tells it: a controller that joins needs the last one.
+        // Reported with every command, because a controller that joins needs the last one.
         self.tell_law_states(now)?;
         self.tell_safety(now)
     }
 
-    /// Hands on what the laws must not lose, once it is known.
+    /// Passes on the state that the laws must not lose, once it is known.
     fn tell_law_states(&mut self, now_ns: u64) -> Result<()> {
         let Some(Clocked { law_states: kept, .. }) = &self.clocked else { return Ok(()) };
         if !kept.is_empty() {
@@ -180,7 +181,7 @@ impl Supervisor {
         Ok(())
     }
 
-    /// Lets stopped vehicles drive again that somebody has rearmed.
+    /// Lets stopped vehicles that were rearmed drive again.
     pub(super) fn hear_rearms(&mut self) -> Result<bool> {
         let Some(rearm) = self.rearms.receive()? else { return Ok(false) };
         let Some(clocked) =
@@ -198,7 +199,7 @@ impl Supervisor {
         Ok(true)
     }
 
-    /// When the next command of our own is due, if no answer comes; none in lockstep, before the first odometry, and
+    /// When the next command of our own is due, if no answer comes; `None` in lockstep, before the first odometry, and
     /// when all drives have ended.
     pub(super) fn own_due_ns(&self) -> Option<u64> {
         let clocked = self.clocked.as_ref()?;
@@ -219,7 +220,7 @@ impl Supervisor {
         if self.own_due_ns().is_none_or(|due_ns| now < due_ns) {
             return Ok(false);
         }
-        // Nobody answered: the stamps of the controller are not ours to fill.
+        // There was no answer, so the controller's stamps stay empty.
         self.send(seen, now, false)?;
         Ok(true)
     }

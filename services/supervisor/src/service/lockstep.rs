@@ -7,8 +7,8 @@ use runtime::Received;
 use super::{Supervisor, announce};
 
 impl Supervisor {
-    /// Takes odometry and answer of a tick, and sends its command: all of them for one vehicle after the other, since a
-    /// fleet does not fit into the nearest cache.
+    /// Takes the odometry and the answer of a tick, and sends its command. It does all of this for one vehicle after
+    /// the other, because a fleet does not fit into the nearest cache.
     pub(super) fn pass_in_lockstep(
         &mut self,
         header: TickHeader,
@@ -40,7 +40,7 @@ impl Supervisor {
             command
         };
         let command = self.commands.write(raw.len(), command)?;
-        // Before the command: when the vehicle answers that, the zones must be known.
+        // Before the command: when the vehicle answers the command, the zones must be known.
         announce(zones, batch, entered)?;
         let mut sent_ns = 0;
         command.send(|now_ns| {
@@ -50,8 +50,8 @@ impl Supervisor {
         if tells_safety { self.tell_safety(sent_ns) } else { Ok(()) }
     }
 
-    /// The odometry that a raw command answers, in lockstep: it came before. The first one of the next batch may have
-    /// come, too, and anything that does not belong.
+    /// The odometry that a raw command answers, in lockstep: it came before the command. The first odometry of the next
+    /// batch may have come, too, and messages that belong to no batch of ours.
     fn odometry_of(&mut self, header: TickHeader) -> Result<Option<Received<Odometry>>> {
         let mut next = self.early_odometry.take();
         loop {

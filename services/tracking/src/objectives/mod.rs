@@ -1,4 +1,4 @@
-//! What a drive is judged by: one number, the smaller the better.
+//! The objective by which a drive is judged: one number, the smaller the better.
 //!
 //! An objective is a file of this folder with its row in the table below, and a file of `config/objectives` with its
 //! settings. Learners, ranking, grid and report all use the same one.
@@ -18,13 +18,13 @@ trait Measure: Sized {
     /// The measure of a configuration.
     fn new(config: &RunConfig) -> Self;
 
-    /// What a drive comes to; finite, not negative, the smaller the better.
+    /// The value of a drive: finite, not negative, the smaller the better.
     fn of(&self, drive: &DriveRecord) -> f64;
 
-    /// What a drive comes to that is everywhere `apart_m` from where it should be: the bound of those that arrive.
+    /// The value of a drive that is `apart_m` from where it should be at every tick: the bound for drives that arrive.
     fn of_bound(&self, apart_m: f64) -> f64;
 
-    /// Whether it must first be told the least value of every other objective in the grid.
+    /// Whether it must first be given the least value of every other objective in the grid.
     fn needs_bests(&self) -> bool {
         false
     }
@@ -45,7 +45,7 @@ macro_rules! objectives {
             fn new(config: &RunConfig) -> Self {
                 match config.objective.name.as_str() {
                     $($name => Self::$kind(<$measure>::new(config)),)+
-                    other => panic!("the objective {other} has a file in config/objectives and no row here"),
+                    other => panic!("the objective {other} has a file in config/objectives but no row here"),
                 }
             }
 
@@ -83,7 +83,7 @@ objectives! {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Objective {
     kind: Kind,
-    /// Distance that bounds the value of a drive which arrives; none where drives end by their time.
+    /// Distance that bounds the value of a drive which arrives; `None` if drives end by time.
     cap_m: Option<f64>,
 }
 
@@ -99,8 +99,8 @@ impl Objective {
 
     /// The value of a drive: finite, not negative, the smaller the better.
     ///
-    /// Where drives are to arrive, one that does is bounded, and one that does not counts the bound times
-    /// (1 + the share of the path that it did not drive): so it ranks behind all that arrive.
+    /// If drives are meant to arrive, the value of one that does is bounded. The value of one that does not is the
+    /// bound times (1 + the share of the path that it did not drive), so that it ranks after all drives that arrive.
     pub fn of(&self, drive: &DriveRecord) -> f64 {
         let Some(cap_m) = self.cap_m else { return self.kind.of(drive) };
         let cap = self.kind.of_bound(cap_m);
@@ -112,7 +112,7 @@ impl Objective {
         }
     }
 
-    /// Whether it must first be told the drives of the whole grid, by [`Objective::take_grid`].
+    /// Whether it must first be given the drives of the whole grid, by [`Objective::take_grid`].
     pub fn needs_grid(&self) -> bool {
         self.kind.needs_bests()
     }

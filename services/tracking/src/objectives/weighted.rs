@@ -18,7 +18,7 @@ pub(super) struct Weighted {
     scales: [f64; 4],
 }
 
-/// What a best value of 0 counts as, so that nothing is divided by it.
+/// Replaces a best value of 0, so that nothing is divided by 0.
 const LEAST_SCALE: f64 = 1e-9;
 
 impl Weighted {
@@ -28,7 +28,7 @@ impl Weighted {
 
     fn sum(&self, parts: [f64; 4]) -> f64 {
         let weighed = parts.iter().zip(self.weights).zip(self.scales);
-        // What has no weight need not have a scale.
+        // An objective without a weight needs no scale.
         weighed
             .filter(|((_, weight), _)| *weight > 0.0)
             .map(|((part, weight), scale)| weight * part / scale)

@@ -1,7 +1,7 @@
 //! Tuners: what proposes parameters and learns from the drives made with them.
 //!
 //! A tuner is a file of this folder with its row in the table below, and a file of `config/tuners` that says what it is
-//! and holds its settings. Memory, journal, finalists and ranking lie outside and serve all of them.
+//! and holds its settings. Memory, journal, finalists and ranking are outside the tuners, and serve all of them.
 
 mod educated_q;
 mod q;
@@ -20,9 +20,9 @@ use crate::rng::drive_seed;
 /// A drive that a tuner waits for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ask {
-    /// The learner that asks: a learner of its own, or the member of a population.
+    /// The learner that asks: an independent learner, or a member of a population.
     pub learner: u32,
-    /// Its step, counted from 0: with a population the generation.
+    /// Its step, counted from 0; for a population, the generation.
     pub step: u32,
     /// The parameters of the law.
     pub parameters: Parameters,
@@ -38,10 +38,10 @@ impl Ask {
     }
 }
 
-/// What a tuner made of a drive, for the run's files.
+/// What a tuner learnt from a drive, for the run's files.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Told {
-    /// The reward of the step; none where the tuner knows none.
+    /// The reward of the step; `None` if the tuner has no rewards.
     pub reward: Option<f64>,
     /// The episode that ended with it, if one did.
     pub episode: Option<EpisodeRecord>,
@@ -58,22 +58,22 @@ pub struct EpisodeRecord {
     pub reward_sum: f64,
     /// Value of the objective in its last step.
     pub last_value: f64,
-    /// The set with which it reached a terminal state; none where the step limit truncated it.
+    /// The set with which it reached a terminal state; `None` if the step limit truncated it.
     pub terminal: Option<Parameters>,
 }
 
-/// Where one learner stands, for the progress line.
+/// The progress of one learner, for the progress line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LearnerState {
     /// Share of its proposals that are made at random.
     pub epsilon: f64,
     /// Least value of the objective so far; infinite before the first drive.
     pub best_value: f64,
-    /// Drives that it was given.
+    /// Number of drives that it received.
     pub drives: u32,
-    /// Episodes, or generations, that are over.
+    /// Number of episodes, or generations, that are over.
     pub episodes: u32,
-    /// All of them.
+    /// Number of all episodes.
     pub of_episodes: u32,
 }
 
@@ -81,11 +81,11 @@ pub struct LearnerState {
 /// same proposals, in whatever order the learners are served. Reads no clock, and draws every random number from a
 /// [`Stream`](crate::rng::Stream) of the run's seed.
 pub trait Tuner: Debug + Send + Sync {
-    /// Learners, numbered from 0: as many drives may be under way at once.
+    /// Number of learners, numbered from 0: as many drives may be under way at once.
     fn learners(&self) -> u32;
 
-    /// The drive that a learner waits for; none while it waits for other learners, and once it has finished. Stays the
-    /// same until it is told.
+    /// The drive that a learner waits for; `None` while it waits for other learners, and once it has finished. Stays
+    /// the same until [`Tuner::tell`].
     fn wanted(&self, learner: u32) -> Option<Ask>;
 
     /// Takes the drive of [`Tuner::wanted`], with its value by the objective (the smaller the better), and moves on.
@@ -99,10 +99,10 @@ pub trait Tuner: Debug + Send + Sync {
     /// The set that it recommends once it has finished. Ties go to the set that `order` puts first.
     fn recommend(&self, order: &dyn Fn(&Parameters, &Parameters) -> Ordering) -> Parameters;
 
-    /// Where a learner stands.
+    /// The progress of a learner.
     fn state(&self, learner: u32) -> LearnerState;
 
-    /// How it learnt, learner by learner, in bounded size.
+    /// A summary of how each learner learnt, of bounded size.
     fn story(&self) -> Vec<LearnerSummary>;
 
     /// Adds what learner number `learner` has become to the run's digest; what it received is in it already.
@@ -119,7 +119,7 @@ macro_rules! tuners {
         pub fn tuner(name: &str, config: &RunConfig) -> Box<dyn Tuner> {
             match name {
                 $($name => Box::new($module::new(config)),)+
-                other => panic!("the tuner {other} has a file in config/tuners and no row here"),
+                other => panic!("the tuner {other} has a file in config/tuners but no row here"),
             }
         }
 
