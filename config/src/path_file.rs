@@ -5,7 +5,7 @@
 //! - comma-separated values, whose header names `x_m,y_m` and optionally `v_mps`;
 //! - the raceline form of TUM and F1TENTH: `;` between the fields, the header in a comment such as
 //!   `# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`. Its heading and curvature are not read: their
-//! conventions differ from tool to tool, and they follow from the points.
+//!   conventions differ from tool to tool, and they follow from the points.
 //!
 //! Lines that begin with `#` are comments. Each mistake is reported in one line that names the file and its line.
 

@@ -8,7 +8,7 @@
 //! - `doorway`: [`run`], from the command line to an exit code.
 //! - [`cli`]: the command line as types.
 //! - [`commands`]: what each command does, from its options to what it prints.
-//! - `conformance` and [`bench`]: the two commands that are longer than a page.
+//! - `conformance` and [`bench`](mod@bench): the two commands that are longer than a page.
 //! - [`runs`]: what a run needs in addition to its pipeline: checks, folder, result, and how other terminals find it.
 //! - [`pipeline`]: the processes of one run and the loop that joins them. [`pipeline::sequencer`] and
 //!   [`pipeline::restart`] decide, and are pure; [`pipeline::process`] and `pipeline::main_loop` act.

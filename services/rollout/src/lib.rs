@@ -3,6 +3,9 @@
 //! It is the oracle (the pipeline must equal it bit for bit), the lower bound of the benchmarks, and the
 //! engine of the exhaustive grid. It calls the same cores as the processes do, in the order of one tick.
 
+// Tests may read and write files, start threads, and know the time.
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+
 use config::{Parameters, RunConfig};
 use controller::{Decision, DriveController, Seen};
 use simulator::{Observation, SimulatedVehicle};

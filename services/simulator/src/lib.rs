@@ -2,6 +2,9 @@
 //!
 //! `vehicle` and `lateral` are pure; [`service`] joins it to the pipeline.
 
+// Tests may read and write files, start threads, and know the time.
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+
 mod lateral;
 mod noise;
 mod road;

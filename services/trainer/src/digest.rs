@@ -7,9 +7,9 @@
 //!    `mean_abs_cross_m`, `mean_abs_heading_rad`, `along_mse_m2`, `cross_mse_m2`; `ticks`; 1 for a collision, else 0;
 //!    and `trace`, which covers every pose and every command. They go through a SHA-256 of their own, whose
 //!    32 bytes are hashed;
-//! 2. what it became, as its tuner reports by [`Tuner::digest_into`](crate::Tuner::digest_into). For the Q-learning
-//!   tuners:  learning rate, steps, Q-table, visits of its entries, visits of the sets, locked places, the set that it
-//!   picks.
+//! 2. what it became, as its tuner tells by [`Tuner::digest_into`](crate::Tuner::digest_into). The Q-learning tuners add
+//!    the learning rate, the steps, the Q-table, the visits of its entries, the visits of the sets, the locked places,
+//!    and the set that the learner picks.
 //!
 //! Numbers enter as their bits, lowest byte first. The digest contains no batch, slot, attempt, process or time, and no
 //! measure that was added later: those of [`DriveRecord`] that are not named above stay outside.

@@ -4,6 +4,9 @@
 //! joins them to the pipeline. The result of a training is determined by the configuration and the
 //! reports of its drives, never by their order.
 
+// Tests may read and write files, start threads, and know the time.
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+
 mod digest;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod grid;

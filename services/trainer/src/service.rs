@@ -77,7 +77,7 @@ enum TrainingStage {
     /// Waits for outcomes.
     Training,
     /// All learners have finished; under noise the best sets are driven again.
-    Finalists(Sweeping, Finalists),
+    Finalists(Sweeping, Box<Finalists>),
     /// A thread drives the grid.
     Ranking(JoinHandle<Result<Chosen>>),
     /// The tuned set is driven for the recordings.
@@ -236,7 +236,7 @@ impl Trainer {
         // To the orchestrator each drive of a sweep is a learner of its own.
         let first = self.training.tuner().learners();
         let sweeping = Sweeping::new(&self.bus, self.place(), first, finalists.drives())?;
-        self.stage = TrainingStage::Finalists(sweeping, finalists);
+        self.stage = TrainingStage::Finalists(sweeping, Box::new(finalists));
         self.ask()
     }
 

@@ -16,6 +16,7 @@ fn noisy_roundabout() -> RunConfig {
 }
 
 #[test]
+#[allow(clippy::disallowed_methods, reason = "a test may start threads")]
 fn the_choice_under_noise_lies_in_the_best_twentieth() {
     let config = noisy_roundabout();
     let seeds: Vec<u64> = (1..=20).collect();

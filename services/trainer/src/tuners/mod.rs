@@ -79,7 +79,7 @@ pub struct LearnerState {
 
 /// What proposes parameters and learns from drives, as a state machine: the same configuration, seed and drives give the
 /// same proposals, in whatever order the learners are served. Reads no clock, and draws every random number from a
-/// [`Stream`](crate::rng::Stream) of the run's seed.
+/// stream of the run's seed.
 pub trait Tuner: Debug + Send + Sync {
     /// Number of learners, numbered from 0: as many drives may be under way at once.
     fn learners(&self) -> u32;
