@@ -150,7 +150,7 @@ pub struct Provenance {
     pub vehicle: String,
     /// Seed of the training.
     pub seed: u64,
-    /// The tuner; earlier versions, which had no choice of tuners, do not name it.
+    /// The tuner; versions from before objectives could be chosen do not name it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tuner: Option<String>,
     /// The objective by which drives were judged; the distance in earlier versions.

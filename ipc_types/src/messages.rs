@@ -240,7 +240,7 @@ message!(
         /// The rate at which the reference's clock is to run on from here, in ticks of the clock in a tick of the
         /// vehicle: 1, or 0 while the gate slows down or stops the vehicle.
         pub clock_rate: f64,
-        /// One of [`Safety::NORMAL`] and the values behind it.
+        /// [`Safety::NORMAL`] or one of the values that follow it.
         pub state: u32,
         /// Bits of what is wrong now, or was when the vehicle was stopped.
         pub reasons: u32,
@@ -383,7 +383,7 @@ constants!(
     Credit:
     /// A vehicle in lockstep publishes tick k of a recorded batch only when `ticks + AHEAD > k`, for the newest
     /// credit of each recorder that the batch's flags ask for. Half of an observer's buffer: nothing is lost,
-    /// and nobody waits while the recorders keep up.
+    /// and the vehicle does not wait as long as the recorders keep up.
     pub const AHEAD: u64 = crate::topics::OBSERVER_BUFFER as u64 / 2;
 );
 
@@ -442,7 +442,7 @@ constants!(
     DriveRequest:
     /// The measured pose is to carry noise.
     pub const NOISE: u32 = 1;
-    /// The parameters change with the zone: the controller awaits a [`GainSwitch`] behind each [`Zone`].
+    /// The parameters change with the zone: after each [`Zone`] the controller waits for a [`GainSwitch`].
     pub const SCHEDULED: u32 = 2;
     /// The drive is recorded without a gap by whoever asked for it: a vehicle in lockstep waits for the
     /// trainer's [`Credit`].
@@ -450,8 +450,8 @@ constants!(
     /// The whole run is recorded without a gap: a vehicle in lockstep waits for the recorder's [`Credit`], tick 0
     /// included.
     pub const LOGGED: u32 = 8;
-    /// The vehicle paces by the clock: nobody waits for anybody, answers grow old, and a restarted process joins the
-    /// drive under way.
+    /// The vehicle paces by the clock: no process waits for another, answers can be too old, and a restarted process
+    /// joins the drive under way.
     pub const REAL_TIME: u32 = 16;
 );
 
@@ -568,7 +568,7 @@ message!(
         pub dropped: u64,
         /// Samples that were not finite or out of range, and were rejected.
         pub rejected: u64,
-        /// Samples that came too late in real time: odometry that nobody answered, answers and commands beyond
+        /// Samples that came too late in real time: odometry that was not answered, answers and commands beyond
         /// their age limit, ticks driven before their zone's parameters had come.
         pub late: u64,
         /// The role: one of the values below.

@@ -244,7 +244,7 @@ fn examine() -> Vec<Finding> {
         "leftovers",
         dead + stray == 0,
         format!("{dead} dead runs, {stray} stray segments"),
-        "remove them with: pathtune clean (the next training does so, too)",
+        "remove them with: pathtune clean (the next run does so, too)",
     );
     findings
 }

@@ -122,7 +122,7 @@ impl Member {
     }
 
     /// Its place in the ring, if it belongs to it. Only the ring has cores: the trainer works while the ring
-    /// rests, and the recorder runs elsewhere.
+    /// rests, and the recorder runs alongside it.
     fn place_in_ring(&self) -> Option<usize> {
         match self.entry.role {
             Role::Vehicle => Some(0),

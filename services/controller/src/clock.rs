@@ -1,7 +1,7 @@
 //! The clock of a vehicle's reference: how many ticks the reference has run.
 //!
 //! In lockstep it is the tick. Where the vehicle paces by the clock, it also
-//! - slows down or waits while the gate slows down or stops the vehicle;
+//! - waits while the gate slows down or stops the vehicle;
 //! - starts again from rest, when a stopped vehicle is allowed to drive on;
 //! - goes on where its predecessor was, when a controller joins a drive that has begun.
 //!
