@@ -1,7 +1,7 @@
 //! Layers of a configuration in a stack, each value with the place where it was set.
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::path::Path;
 
 use toml::{Table, Value};
 use toml_edit::TableLike;
@@ -438,7 +438,7 @@ fn parse_table(origin: &str, text: &str) -> Result<Table, ConfigError> {
 }
 
 fn read_part(part: Part, name: &str, origin: &str) -> Result<String, ConfigError> {
-    fs::read_to_string(name).map_err(|error| {
+    crate::files::read_small(Path::new(name)).map_err(|error| {
         let (folder, what) = part.place();
         let known: Vec<&str> = names_in(folder).collect();
         let known = known.join(", ");

@@ -9,6 +9,7 @@
 //! SI units and radians throughout; the suffix of a key is its unit.
 
 mod error;
+mod files;
 mod grid;
 pub mod launch;
 mod law;
@@ -26,6 +27,7 @@ mod tuned;
 mod validate;
 
 pub use error::ConfigError;
+pub use files::read_small;
 pub use grid::{Axes, Axis, Grid, GridAxis, GridPosition};
 pub use law::{
     LawConfig, MAX_PARAMETERS, NamedParameters, ParameterConfig, Parameters, Scale, Settings,

@@ -1,6 +1,5 @@
 //! A path of the user's own, as a layer: its file, and the zones' file next to it.
 
-use std::fs;
 use std::io::Read;
 use std::path::Path;
 
@@ -170,7 +169,7 @@ fn read(file: &Path, hint: &str) -> Result<Vec<u8>, ConfigError> {
         ConfigError::new(&origin, "", problem)
     };
     let mut bytes = Vec::new();
-    let opened = fs::File::open(file).map_err(unreadable)?;
+    let opened = crate::files::open_regular(file).map_err(unreadable)?;
     opened.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
     if bytes.len() as u64 > MAX_FILE_BYTES {
         let problem = format!("holds more than {} MiB; thin the points out", MAX_FILE_BYTES >> 20);
@@ -184,6 +183,7 @@ mod tests {
     use super::*;
     use crate::RunConfig;
     use proptest::prelude::*;
+    use std::fs;
     use std::path::PathBuf;
 
     fn own_path(file: &Path) -> Result<Layers, ConfigError> {

@@ -51,11 +51,12 @@ fn ring_on(names: &RunNames, transport: Transport, fleet: usize) -> Result<Timin
     };
     let rounds = ROUNDS.to_string();
     let start = |service: &str, hop: &[&str], input: Stdio, output: Stdio| -> Result<Killed> {
-        let child = Command::new("/proc/self/exe")
+        let mut command = Command::new("/proc/self/exe");
+        attachment.give_to(&mut command);
+        let child = command
             .arg0("pathtune")
             .args(["service", service])
             .args(hop)
-            .envs(attachment.to_env())
             .process_group(0)
             .stdin(input)
             .stdout(output)

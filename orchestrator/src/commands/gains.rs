@@ -1,10 +1,13 @@
 //! `pathtune gains`: promotes the result of a training to a vehicle's file, and rolls it back.
 
 use std::fs;
+use std::io::{self, Read};
 use std::path::Path;
 
 use config::promote::{self, changes, geometry_difference, large_changes, rollback_place};
-use config::{LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset};
+use config::{
+    LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset, read_small,
+};
 use outcome::{Outcome, OutcomeError, RESULT_FILE, read_result};
 use serde_json::{Map, Value, json};
 
@@ -58,6 +61,18 @@ fn list(file: &Path, as_json: bool) -> Result<(), Failure> {
         say!("{table}");
     }
     Ok(())
+}
+
+/// Counts the lines of a file that may be long.
+fn count_lines(path: &Path) -> io::Result<u64> {
+    let mut file = fs::File::open(path)?;
+    let (mut lines, mut bytes) = (0, vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut bytes)? {
+            0 => return Ok(lines),
+            count => lines += bytes[..count].iter().filter(|byte| **byte == b'\n').count() as u64,
+        }
+    }
 }
 
 /// A set as JSON, for scripts: its parameters are on the same level as the rest, under their own names.
@@ -303,8 +318,7 @@ impl Trained {
             ))
         };
         let read = |name: &str| {
-            fs::read_to_string(folder.join(name))
-                .map_err(|error| unfinished(&format!("{name}: {error}")))
+            read_small(&folder.join(name)).map_err(|error| unfinished(&format!("{name}: {error}")))
         };
         let decided = match read_result(&folder) {
             Ok(result) => result.decided,
@@ -325,7 +339,9 @@ impl Trained {
         let origin = run.join("config.toml").display().to_string();
         let config = resolved_config(&origin, &read("config.toml")?)?;
         // After the line that opens the journal, each line is a step.
-        let steps = read("journal")?.lines().count().saturating_sub(1) as u64;
+        let steps = count_lines(&folder.join("journal"))
+            .map_err(|error| unfinished(&format!("journal: {error}")))?
+            .saturating_sub(1);
         if training.asked != steps {
             return Err(unfinished("result.json does not belong to the journal"));
         }

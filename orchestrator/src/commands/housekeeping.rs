@@ -1,6 +1,7 @@
 //! Looking after runs from another terminal: `status`, `stop`, `logs`, `clean`, `doctor`.
 
 use std::fs;
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -8,7 +9,7 @@ use anyhow::Context;
 use comfy_table::Table;
 use comfy_table::presets::NOTHING;
 use runtime::run::{RunNames, stale_segments, sweep_dead_runs};
-use rustix::process::{Pid, Resource, Signal, getrlimit, kill_process};
+use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 use serde_json::json;
 
@@ -73,8 +74,10 @@ pub(crate) fn status(as_json: bool) -> Result<(), Failure> {
 /// If `run` matches no run or several, or if it does not end.
 pub(crate) fn stop(run: Option<&str>) -> Result<(), Failure> {
     let state = RunState::find(run)?;
-    let pid = Pid::from_raw(state.pid as i32).context("not a process id")?;
-    kill_process(pid, Signal::INT).context("failed to interrupt the run")?;
+    if run.is_none() {
+        confirm(&state)?;
+    }
+    state.request_stop().context("failed to ask the run to stop")?;
     // Its processes get five seconds each.
     let until = Instant::now() + Duration::from_secs(30);
     while RunState::living().iter().any(|other| other.run == state.run) {
@@ -88,8 +91,33 @@ pub(crate) fn stop(run: Option<&str>) -> Result<(), Failure> {
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    say!("stopped {}; go on with: pathtune train --resume {}", state.run, state.folder.display());
+    let folder = state.folder.display();
+    if state.resumable {
+        say!("stopped {}; go on with: pathtune train --resume {folder}", state.run);
+    } else {
+        say!("stopped {} in {folder}", state.run);
+    }
     Ok(())
+}
+
+/// Asks before the only run is stopped although nobody named it and it belongs to another folder than this one.
+fn confirm(state: &RunState) -> Result<(), Failure> {
+    let here = std::env::current_dir().and_then(fs::canonicalize).unwrap_or_default();
+    if state.folder.starts_with(&here) {
+        return Ok(());
+    }
+    let question = format!("run {} ({}) in {}", state.run, state.maneuver, state.folder.display());
+    if !std::io::stdin().is_terminal() {
+        let way_out = format!("name it: pathtune stop {}", &state.run[..state.run.len().min(6)]);
+        return Err(Failure::User(format!("{question} is not below this folder; {way_out}")));
+    }
+    eprint!("{question} is not below this folder. Stop it? [y/N] ");
+    let mut answer = String::new();
+    std::io::stdin().read_line(&mut answer)?;
+    match answer.trim() {
+        "y" | "Y" | "yes" => Ok(()),
+        _ => Err(Failure::User("nothing was stopped".to_owned())),
+    }
 }
 
 /// Prints the last lines of a run's logs; the run is a living one or an output folder.

@@ -29,7 +29,13 @@ pub(crate) fn train(args: &TrainArgs, services: Services) -> Result<EndedRun, Fa
     let name = config.maneuver.clone();
     let folder = args.resume.as_deref().map_or(Folder::New(&name), Folder::Old);
     let ready = setup::prepare(&args.setup, config, launch, services, None, folder)?;
-    let facts = run_or_unmake(&ready, args.resume.is_none())?;
+    let facts = run_or_unmake(&ready, args.resume.is_none()).map_err(|failure| match failure {
+        Failure::GaveUp(why) => {
+            let folder = ready.plan.folder.display();
+            Failure::GaveUp(format!("{why}\ngo on with: pathtune train --resume {folder}"))
+        }
+        other => other,
+    })?;
     conclude(&ready.plan, &facts, args.setup.json)
 }
 

@@ -18,6 +18,7 @@ use runtime::run::RunNames;
 use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
+use signal_hook::consts::SIGINT;
 
 use crate::pipeline::cores::Placement;
 use crate::pipeline::interrupts::Interrupts;
@@ -34,6 +35,9 @@ use crate::words::Failure;
 
 /// A batch without a tick for this long has lost a message; each sign of life reports progress.
 const STALLED_AFTER_NS: u64 = 500_000_000;
+/// And one without a tick for this long has lost one even on a machine where the processes wait for a processor most
+/// of the time.
+const STALLED_AT_LAST_NS: u64 = 10_000_000_000;
 /// How many stalls in a row of one batch end the run: driving it again repairs a lost message, but by then it has not
 /// helped, and will not.
 const STALLS_IN_A_ROW: u32 = 100;
@@ -73,6 +77,8 @@ pub(crate) struct Pipeline<'a> {
     /// The latest batch and tick that any process reported; `seen_ns` is when that of any process last changed.
     seen: (u64, u64),
     seen_ns: u64,
+    /// What the processes had waited for a processor by then.
+    seen_waited_ns: u64,
     /// Attempts at the batch under way that stalled.
     stalls_in_a_row: u32,
     random_kills: RandomKills,
@@ -157,6 +163,7 @@ impl<'a> Pipeline<'a> {
             batch_is_broken: false,
             seen: (0, 0),
             seen_ns: 0,
+            seen_waited_ns: 0,
             stalls_in_a_row: 0,
             random_kills,
             recoveries: Recoveries::default(),
@@ -194,6 +201,9 @@ impl<'a> Pipeline<'a> {
             if let Some(signal) = self.interrupted.signal() {
                 return Err(Failure::Interrupted(signal));
             }
+            if self.state_file.is_stop_requested(now_ns()) {
+                return Err(Failure::Interrupted(SIGINT));
+            }
             let mut heard = self.hear_status()?;
             self.look_after_members()?;
             self.look_after_batch()?;
@@ -214,7 +224,7 @@ impl<'a> Pipeline<'a> {
 
     /// Takes signs of life: which processes are ready, and still alive.
     fn hear_status(&mut self) -> Result<bool, Failure> {
-        let mut heard = false;
+        let (mut heard, mut ticked) = (false, false);
         while let Some(message) = self.status.receive()? {
             heard = true;
             let Some(status) = message.items().first().copied() else { continue };
@@ -233,6 +243,7 @@ impl<'a> Pipeline<'a> {
                 member.seen = (status.batch, status.tick);
                 self.seen = self.seen.max(member.seen);
                 self.seen_ns = now_ns();
+                ticked = true;
             }
             if self.realtime && member.is_ready() {
                 // There are no ends of batches that would show that all is well.
@@ -255,6 +266,9 @@ impl<'a> Pipeline<'a> {
                     }
                 }
             }
+        }
+        if ticked {
+            self.seen_waited_ns = self.waited_ns();
         }
         Ok(heard)
     }
@@ -392,6 +406,14 @@ impl<'a> Pipeline<'a> {
         {
             return Ok(());
         }
+        // A loaded machine is slow, not broken: the time that the ring waited for a processor does not count.
+        let waited_ns = self.waited_ns();
+        let excused_ns = waited_ns.saturating_sub(self.seen_waited_ns);
+        let silent_ns = now.saturating_sub(self.seen_ns);
+        if silent_ns.saturating_sub(excused_ns) < STALLED_AFTER_NS && silent_ns < STALLED_AT_LAST_NS
+        {
+            return Ok(());
+        }
         self.stalls_in_a_row += 1;
         if self.stalls_in_a_row > STALLS_IN_A_ROW {
             let (batch, tick) = (self.sequencer.batch(), self.seen.1);
@@ -406,6 +428,11 @@ impl<'a> Pipeline<'a> {
         self.recoveries.broken(self.seen_ns);
         self.batch_is_broken = true;
         Ok(())
+    }
+
+    /// Time that all processes have waited for a processor.
+    fn waited_ns(&self) -> u64 {
+        self.members.iter().map(Member::waited_ns).sum()
     }
 
     /// Passes on the vehicle's warnings: in real time it may be waiting for something that only the user can provide.
@@ -533,11 +560,14 @@ struct StateFile {
     path: PathBuf,
     state: RunState,
     written_ns: u64,
+    looked_ns: u64,
 }
 
 impl StateFile {
     /// Time between two writes.
     const EVERY_NS: u64 = 200_000_000;
+    /// Time between two looks for a request to stop.
+    const LOOK_EVERY_NS: u64 = 50_000_000;
 
     fn new(names: &RunNames, plan: &Plan) -> Self {
         let state = RunState {
@@ -545,12 +575,13 @@ impl StateFile {
             pid: std::process::id(),
             maneuver: plan.config.maneuver.clone(),
             folder: plan.folder.clone(),
+            resumable: plan.sweep.is_none(),
             batch: 0,
             attempt: 0,
             tick: 0,
             processes: Vec::new(),
         };
-        Self { path: names.root.join(RunState::FILE), state, written_ns: 0 }
+        Self { path: names.root.join(RunState::FILE), state, written_ns: 0, looked_ns: 0 }
     }
 
     fn write(&mut self, now_ns: u64, members: &[Member], sequencer: &Sequencer, seen: (u64, u64)) {
@@ -564,6 +595,15 @@ impl StateFile {
         state.processes = members.iter().map(Member::state).collect();
         // Only people read it: a failure to write it is no reason to stop a training.
         let _ = state.write(&self.path);
+    }
+
+    /// Whether `pathtune stop` has asked for it, by a file beside this one.
+    fn is_stop_requested(&mut self, now_ns: u64) -> bool {
+        if now_ns - self.looked_ns < Self::LOOK_EVERY_NS {
+            return false;
+        }
+        self.looked_ns = now_ns;
+        self.path.with_file_name(RunState::STOP_FILE).exists()
     }
 }
 

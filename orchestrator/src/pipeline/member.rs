@@ -13,12 +13,14 @@ use crate::pipeline::cores::Placement;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::process::{Process, Program, describe, last_lines};
 use crate::pipeline::restart::{Budget, RestartPolicy};
+use crate::pipeline::vitals::Vitals;
 use crate::runs::state::ProcessState;
 use crate::words::Failure;
 
-/// A process must be ready this soon after its start: it opens a dozen files.
+/// A process must be ready this soon after its start, the time left out in which it waited for a processor: it opens a
+/// dozen files.
 const READY_WITHIN_NS: u64 = 5_000_000_000;
-/// A ready process that gives no sign of life for this long, which is five beats, is taken for frozen.
+/// A ready process that gives no sign of life for this long, which is five beats, is taken for frozen; see [`Vitals`].
 const BEATS_WITHIN_NS: u64 = 500_000_000;
 /// Exit code of a process that ends because of a user's mistake.
 const USERS_MISTAKE: i32 = 64;
@@ -33,6 +35,8 @@ pub(crate) struct Member {
     pub(crate) policy: RestartPolicy,
     pub(crate) incarnation: u64,
     pub(crate) pid: u32,
+    /// Whether it was found without a sign of life at the last look.
+    suspected: bool,
     /// The batch and tick that it reported last.
     pub(crate) seen: (u64, u64),
     /// What it has warned of, with the numbers removed.
@@ -67,9 +71,9 @@ pub(crate) enum State {
     /// To be started at this time.
     Down { due_ns: u64 },
     /// Up, and not ready yet.
-    Starting { process: Process, since_ns: u64 },
+    Starting { process: Process, since_ns: u64, vitals: Vitals },
     /// All its ports exist.
-    Ready { process: Process, beat_ns: u64 },
+    Ready { process: Process, beat_ns: u64, vitals: Vitals },
 }
 
 impl State {
@@ -100,6 +104,7 @@ impl Member {
             }),
             incarnation: 0,
             pid: 0,
+            suspected: false,
             seen: (0, 0),
             warned: HashSet::new(),
             refused_before: RefusedSamples::default(),
@@ -153,19 +158,37 @@ impl Member {
         })?;
         self.pid = process.id();
         tracing::info!(process = self.name, pid = self.pid, "started");
-        self.state = State::Starting { process, since_ns: now_ns() };
+        self.suspected = false;
+        let vitals = self.vitals().unwrap_or_default();
+        self.state = State::Starting { process, since_ns: now_ns(), vitals };
         Ok(())
+    }
+
+    /// What the system counts of it; none once it is gone. Of a foreign program nobody knows which of its processes and
+    /// threads gives the signs of life.
+    fn vitals(&self) -> Option<Vitals> {
+        match self.program {
+            Program::Service(_) => Vitals::of_main_thread(self.pid),
+            Program::Command(_) => Vitals::of_tree(self.pid),
+        }
+    }
+
+    /// Time that it has been ready to run and waited for a processor, since it started.
+    pub(crate) fn waited_ns(&self) -> u64 {
+        self.vitals().unwrap_or_default().waited_ns
     }
 
     /// Notes a sign of life; returns whether it was the first.
     pub(crate) fn beat(&mut self, now_ns: u64) -> bool {
+        self.suspected = false;
+        let vitals = self.vitals().unwrap_or_default();
         match std::mem::replace(&mut self.state, State::Down { due_ns: now_ns }) {
             State::Starting { process, .. } => {
-                self.state = State::Ready { process, beat_ns: now_ns };
+                self.state = State::Ready { process, beat_ns: now_ns, vitals };
                 true
             }
             State::Ready { process, .. } => {
-                self.state = State::Ready { process, beat_ns: now_ns };
+                self.state = State::Ready { process, beat_ns: now_ns, vitals };
                 false
             }
             down @ State::Down { .. } => {
@@ -180,15 +203,24 @@ impl Member {
         if let Some(status) = self.state.process()?.try_wait() {
             return Some(describe(status));
         }
-        match &self.state {
-            State::Starting { since_ns, .. } if now_ns - since_ns > READY_WITHIN_NS => {
-                Some(format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000))
-            }
-            State::Ready { beat_ns, .. } if now_ns.saturating_sub(*beat_ns) > BEATS_WITHIN_NS => {
-                Some(format!("gave no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000))
-            }
-            _ => None,
+        let (since_ns, vitals, limit_ns) = match self.state {
+            State::Down { .. } => return None,
+            State::Starting { since_ns, vitals, .. } => (since_ns, vitals, READY_WITHIN_NS),
+            State::Ready { beat_ns, vitals, .. } => (beat_ns, vitals, BEATS_WITHIN_NS),
+        };
+        let elapsed_ns = now_ns.saturating_sub(since_ns);
+        let hangs = elapsed_ns > limit_ns
+            && self.vitals().is_none_or(|now| vitals.hangs(now, elapsed_ns, limit_ns));
+        // Only at the second look: this process may have been off the processor, too, and its mail unread.
+        if !std::mem::replace(&mut self.suspected, hangs) || !hangs {
+            return None;
         }
+        Some(match self.state {
+            State::Ready { .. } => {
+                format!("gave no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000)
+            }
+            _ => format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000),
+        })
     }
 
     /// The user's mistake because of which the process ended at its first start, in its own last words. Another start

@@ -14,3 +14,4 @@ pub(crate) mod recovery;
 pub mod restart;
 pub mod sequencer;
 pub(crate) mod services;
+pub(crate) mod vitals;

@@ -50,8 +50,8 @@ impl Process {
             }
         }
         let output: File = OpenOptions::new().create(true).append(true).open(log)?;
+        attachment.give_to(&mut command);
         let child = command
-            .envs(attachment.to_env())
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(output.try_clone()?)
@@ -162,10 +162,11 @@ const HELPERS: usize = 10;
 
 /// Starts the helper that removes dead nodes from the bus.
 pub(crate) fn spawn_cleaner(attachment: &Attachment) -> io::Result<Child> {
-    Command::new("/proc/self/exe")
+    let mut command = Command::new("/proc/self/exe");
+    attachment.give_to(&mut command);
+    command
         .arg0("pathtune")
         .args(["service", "cleaner"])
-        .envs(attachment.to_env())
         .process_group(0)
         .stdin(Stdio::null())
         .stdout(Stdio::null())

@@ -1,10 +1,9 @@
 //! Reads what a run's folder holds, after the run.
 
-use std::fs;
 use std::path::Path;
 
 use config::launch::Launch;
-use config::{ConfigError, RunConfig};
+use config::{ConfigError, RunConfig, read_small};
 use outcome::OutcomeError;
 use toml::Table;
 
@@ -44,7 +43,7 @@ pub(crate) fn refuse_earlier(origin: &str, text: &str) -> Result<(), Failure> {
 /// Refuses the folder of a run that an earlier version of pathtune made, judging by the files in it.
 pub(crate) fn refuse_earlier_run(folder: &Path) -> Result<(), Failure> {
     let config = folder.join("config.toml");
-    if let Ok(text) = fs::read_to_string(&config) {
+    if let Ok(text) = read_small(&config) {
         refuse_earlier(&config.display().to_string(), &text)?;
     }
     match outcome::read_result(folder) {
@@ -63,7 +62,7 @@ pub(crate) fn of_earlier_start(
     let read = |name: &str| {
         let path = folder.join(name);
         let origin = format!("{option} {}", path.display());
-        fs::read_to_string(&path)
+        read_small(&path)
             .map_err(|error| Failure::User(format!("{origin}: {missing}: {error}")))
             .map(|text| (origin, text))
     };
@@ -76,6 +75,7 @@ pub(crate) fn of_earlier_start(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     #[test]
     fn folders_of_earlier_versions_are_refused_in_one_line() {

@@ -1,6 +1,7 @@
 //! What a run needs in addition to its pipeline: checks of the machine, a folder, a result, and a place where other
 //! terminals find it.
 
+pub(crate) mod files;
 pub(crate) mod folder;
 pub(crate) mod preflight;
 pub(crate) mod result;

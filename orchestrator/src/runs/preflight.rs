@@ -9,6 +9,7 @@ use config::launch::Launch;
 use runtime::waiting;
 use rustix::mm::munlockall;
 
+use crate::runs::files::open_lock;
 use crate::words::Failure;
 use crate::words::terminal::tell;
 
@@ -82,8 +83,12 @@ pub(crate) fn make_folder(folder: &Path) -> Result<PathBuf, Failure> {
 pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
     let path = folder.join("lock");
     let fail = |why: String| Failure::User(format!("{}: {why}", folder.display()));
-    let file =
-        fs::File::create(&path).map_err(|error| fail(format!("cannot be written: {error}")))?;
+    let file = open_lock(&path).map_err(|error| match error.raw_os_error() {
+        Some(code) if code == rustix::io::Errno::LOOP.raw_os_error() => {
+            fail(format!("{} is a link; remove it", path.display()))
+        }
+        _ => fail(format!("cannot be written: {error}")),
+    })?;
     // The last child of a killed predecessor may hold the lock until it has executed its program.
     let until = Instant::now() + Duration::from_secs(1);
     loop {

@@ -1,6 +1,6 @@
 //! Runs a planned pipeline to its end.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{File, OpenOptions};
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -12,6 +12,7 @@ use runtime::run::{LOCK_FILE, RunNames};
 use crate::pipeline::main_loop::{Pipeline, log_of_orchestrator};
 use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::pipeline::progress::Progress;
+use crate::runs::files::write_whole;
 use crate::runs::preflight;
 use crate::runs::setup::Ready;
 use crate::words::Failure;
@@ -91,7 +92,7 @@ impl Drop for PrivateNames {
 }
 
 fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    fs::write(path, text).with_context(|| format!("failed to write {path:?}"))?;
+    write_whole(path, text).with_context(|| format!("failed to write {path:?}"))?;
     Ok(())
 }
 

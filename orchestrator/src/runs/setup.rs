@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use config::launch::{Launch, Role};
-use config::{Layers, RunConfig, SweepPlan};
+use config::{Layers, RunConfig, SweepPlan, read_small};
 use runtime::Wait;
 use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
@@ -205,8 +205,7 @@ pub(crate) fn prepare(
 }
 
 pub(crate) fn read(file: &Path, option: &str) -> Result<String, Failure> {
-    fs::read_to_string(file)
-        .map_err(|error| Failure::User(format!("{option} {}: {error}", file.display())))
+    read_small(file).map_err(|error| Failure::User(format!("{option} {}: {error}", file.display())))
 }
 
 fn folder_named_after(name: &str) -> PathBuf {

@@ -5,6 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
+use config::read_small;
 use outcome::ProcessFacts;
 use runtime::run::{RunNames, living_runs};
 use serde::{Deserialize, Serialize};
@@ -18,6 +19,9 @@ pub(crate) struct RunState {
     pub(crate) pid: u32,
     pub(crate) maneuver: String,
     pub(crate) folder: PathBuf,
+    /// Whether it is a training, which can be gone on with.
+    #[serde(default)]
+    pub(crate) resumable: bool,
     pub(crate) batch: u64,
     pub(crate) attempt: u32,
     pub(crate) tick: u64,
@@ -36,6 +40,24 @@ pub(crate) struct ProcessState {
 impl RunState {
     /// Name of the file.
     pub(crate) const FILE: &str = "run.json";
+
+    /// Name of the file by which a run is asked to stop. A number of a process would be no good name of a run: in another
+    /// container it is another process.
+    pub(crate) const STOP_FILE: &str = "stop";
+
+    /// Asks the run to stop.
+    pub(crate) fn request_stop(&self) -> io::Result<()> {
+        let names =
+            living_runs().into_iter().find(|names| format!("{:016x}", names.run) == self.run);
+        match names {
+            // Made anew, so that no link is followed; somebody else may have asked already.
+            Some(names) => match fs::File::create_new(names.root.join(Self::STOP_FILE)) {
+                Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
+                _ => Ok(()),
+            },
+            None => Ok(()),
+        }
+    }
 
     /// Writes the file, by rename, so that nobody reads half of it.
     pub(crate) fn write(&self, path: &Path) -> io::Result<()> {
@@ -77,7 +99,7 @@ impl RunState {
     }
 
     fn read(names: &RunNames) -> Option<Self> {
-        serde_json::from_slice(&fs::read(names.root.join(Self::FILE)).ok()?).ok()
+        serde_json::from_str(&read_small(&names.root.join(Self::FILE)).ok()?).ok()
     }
 }
 

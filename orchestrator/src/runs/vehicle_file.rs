@@ -45,6 +45,8 @@ impl VehicleFile {
             }
             let mut text = String::new();
             file.read_to_string(&mut text).map_err(|error| fail(error.to_string()))?;
+            // What a killed predecessor left: whoever holds the lock is the only one to write.
+            let _ = fs::remove_file(part_of(&path));
             return Ok(Self { text, named: named.to_owned(), path, file });
         }
     }
@@ -58,9 +60,7 @@ impl VehicleFile {
         {
             return Err(fail("is read-only; `chmod u+w` makes it writable".to_owned()));
         }
-        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        // The name is always the same, so that what a killed predecessor left is removed here.
-        let part = self.path.with_file_name(format!(".{name}.part"));
+        let part = part_of(&self.path);
         let result = self.put_in_place(&part, text, &meta);
         result.map_err(|error| {
             let _ = fs::remove_file(&part);
@@ -84,4 +84,11 @@ impl VehicleFile {
         let folder = self.path.parent().unwrap_or(Path::new("/"));
         File::open(folder)?.sync_all()
     }
+}
+
+/// Where the new text stands until it takes the file's place: always the same name, so that what a killed predecessor
+/// left is found.
+fn part_of(path: &Path) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!(".{name}.part"))
 }

@@ -25,6 +25,7 @@ mod train;
 mod validate;
 
 use std::fs;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use config::RunConfig;
@@ -60,6 +61,11 @@ pub fn write_report(run: &Path) -> Result<PathBuf, ReportError> {
     let (html, pictures) = page_of(run, &result, &config, &text)?;
 
     let folder = run.join("report");
+    if fs::symlink_metadata(&folder).is_ok_and(|meta| !meta.is_dir()) {
+        // Pictures would be written, and others removed, wherever a link points to.
+        let problem = io::Error::other("is not a folder; remove it");
+        return Err(ReportError::Write { path: folder, problem });
+    }
     fs::create_dir_all(&folder)
         .map_err(|problem| ReportError::Write { path: folder.clone(), problem })?;
     for picture in &pictures {
@@ -99,21 +105,31 @@ fn page_of(
 
 /// Writes a file under another name, and then renames it, so that nobody reads half of it.
 fn replace(path: &Path, text: &str) -> Result<(), ReportError> {
-    let part = path.with_extension(format!("part-{}", std::process::id()));
-    fs::write(&part, text).and_then(|()| fs::rename(&part, path)).map_err(|problem| {
+    // Always the same name, so that what a killed predecessor left is removed by the next one.
+    let part = path.with_extension("part");
+    let write = || {
+        match fs::remove_file(&part) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        // Made anew, so that no link is followed.
+        fs::File::create_new(&part)?.write_all(text.as_bytes())?;
+        fs::rename(&part, path)
+    };
+    write().map_err(|problem| {
         let _ = fs::remove_file(&part);
         ReportError::Write { path: path.to_owned(), problem }
     })
 }
 
-/// Removes pictures of an older report that this report does not have.
+/// Removes pictures of an older report that this report does not have, and what killed reports left.
 fn remove_others(folder: &Path, keep: impl Fn(&str) -> bool) -> Result<(), ReportError> {
     let failed = |problem| ReportError::Write { path: folder.to_owned(), problem };
     for entry in fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
-        let is_picture = path.extension().is_some_and(|extension| extension == "svg");
+        let extension = path.extension().unwrap_or_default().to_string_lossy();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        if is_picture && !keep(&stem) {
+        if extension.starts_with("part") || extension == "svg" && !keep(&stem) {
             fs::remove_file(&path).map_err(|problem| ReportError::Write { path, problem })?;
         }
     }

@@ -81,6 +81,19 @@ impl Attachment {
         })
     }
 
+    /// Gives a child its variables, and none of ours that the user's own environment happens to have: such as a script of
+    /// faults, or a priority.
+    pub fn give_to(&self, child: &mut std::process::Command) {
+        for (name, _) in std::env::vars_os() {
+            let ours = name.to_str().is_some_and(|name| name.starts_with("PATHTUNE_"));
+            let kept = [crate::logging::LOG_VAR, crate::periods::FILE_VARIABLE];
+            if ours && kept.iter().all(|kept| name != *kept) {
+                child.env_remove(name);
+            }
+        }
+        child.envs(self.to_env());
+    }
+
     /// The variables, for a child.
     pub fn to_env(&self) -> Vec<(&'static str, String)> {
         let mut env = vec![

@@ -8,6 +8,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::rc::Rc;
 use std::time::Duration;
 
+use ::config::MAX_FLEET;
 use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::port::listener::Listener;
@@ -401,14 +402,25 @@ pub struct Inlet<M: Message> {
 impl<M: Message> Inlet<M> {
     /// The oldest message that has not been taken yet.
     ///
+    /// A message with more elements than any of ours has is passed over unread: its sender is no process of this run, and
+    /// whoever looked at all of it would stand still meanwhile.
+    ///
     /// # Errors
     /// If the transport refuses.
     pub fn receive(&self) -> Result<Option<Received<M>>, BusError> {
-        let sample = self
-            .subscriber
-            .receive()
-            .map_err(refused(|| format!("receive from {}", M::TOPIC.name)))?;
-        Ok(sample.map(|sample| Received { sample }))
+        // As many at a time as can wait: nobody can keep us here.
+        for _ in 0..OBSERVER_BUFFER {
+            let sample = self
+                .subscriber
+                .receive()
+                .map_err(refused(|| format!("receive from {}", M::TOPIC.name)))?;
+            let Some(sample) = sample else { return Ok(None) };
+            if sample.payload().len() <= MAX_FLEET {
+                return Ok(Some(Received { sample }));
+            }
+            tracing::debug!(topic = M::TOPIC.name, len = sample.payload().len(), "too long");
+        }
+        Ok(None)
     }
 
     /// The newest message; older ones are dropped.

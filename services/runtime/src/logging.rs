@@ -8,7 +8,7 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
 /// The variable that selects what is logged.
-const LOG_VAR: &str = "PATHTUNE_LOG";
+pub(crate) const LOG_VAR: &str = "PATHTUNE_LOG";
 
 /// Starts logging to standard error.
 pub fn init() {

@@ -106,6 +106,14 @@ fn make_private(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
+/// Whether this is a folder of this user that nobody else can enter.
+fn is_private(folder: &Path) -> bool {
+    fs::symlink_metadata(folder).is_ok_and(|meta| {
+        let is_ours = meta.uid() == rustix::process::geteuid().as_raw();
+        meta.is_dir() && is_ours && meta.mode() & 0o077 == 0
+    })
+}
+
 fn remove_segments(prefix: &str) {
     for name in segments() {
         if name.starts_with(prefix) {
@@ -141,11 +149,19 @@ pub fn living_runs() -> Vec<RunNames> {
     runs().into_iter().filter(|names| !is_dead(&names.root)).collect()
 }
 
+/// Runs of this user. A folder that somebody else made, or a link, is none: nothing in it is read, and nothing that it
+/// names is swept or stopped.
 fn runs() -> Vec<RunNames> {
-    let Ok(entries) = fs::read_dir(base_folder()) else { return Vec::new() };
+    let base = base_folder();
+    if !is_private(&base) {
+        return Vec::new();
+    }
+    let Ok(entries) = fs::read_dir(base) else { return Vec::new() };
     let name_run = |entry: fs::DirEntry| {
-        let run = u64::from_str_radix(entry.file_name().to_str()?, 16).ok()?;
-        Some(RunNames { run, root: entry.path() })
+        let name = entry.file_name();
+        let name = name.to_str().filter(|name| name.len() == 16)?;
+        let run = u64::from_str_radix(name, 16).ok()?;
+        is_private(&entry.path()).then(|| RunNames { run, root: entry.path() })
     };
     entries.flatten().filter_map(name_run).collect()
 }
@@ -223,5 +239,8 @@ mod tests {
         let link = folder.path().join("link");
         std::os::unix::fs::symlink(&open, &link).unwrap();
         assert!(make_private(&link).unwrap_err().to_string().contains("is not a folder"));
+        assert!(is_private(&open) && !is_private(&link));
+        fs::set_permissions(&open, fs::Permissions::from_mode(0o770)).unwrap();
+        assert!(!is_private(&open));
     }
 }
