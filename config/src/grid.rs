@@ -67,6 +67,34 @@ impl GridAxis {
         if (value - max).abs() < 1e-6 * apart { max } else { value }
     }
 
+    /// The least value.
+    pub fn min(&self) -> f64 {
+        self.axis.min
+    }
+
+    /// The largest value, which the steps need not meet.
+    pub fn max(&self) -> f64 {
+        self.axis.max
+    }
+
+    /// The value at a share, from 0 to 1, of the way from the least value to the largest, on the axis's scale: what a
+    /// tuner asks for that does not keep to the grid's values.
+    pub fn at(&self, share: f64) -> f64 {
+        let Axis { min, max, .. } = self.axis;
+        let value = match self.scale {
+            Scale::Linear => min + share * (max - min),
+            Scale::Log => min * libm::pow(max / min, share),
+        };
+        value.clamp(min, max)
+    }
+
+    /// Whether a value is the least or the largest of an axis that has more than one.
+    fn is_on_bound(&self, value: f64) -> bool {
+        let near =
+            |bound: f64| (value - bound).abs() <= 1e-6 * self.axis.step * bound.abs().max(1.0);
+        self.len() > 1 && (near(self.value(0)) || near(self.value(self.len() - 1)))
+    }
+
     /// The place of a value, if the axis holds it (up to a millionth of a step).
     fn find(&self, value: f64) -> Option<usize> {
         let Axis { min, step, .. } = self.axis;
@@ -159,13 +187,11 @@ impl Grid {
         Some(position)
     }
 
-    /// The parameters that lie on a bound of an axis with more than one value, by their places in the law.
-    pub fn on_bound(&self, position: GridPosition) -> Vec<usize> {
-        let is_on_bound = |place: &usize| {
-            let (axis, value) = (self.axes[*place], position.0[*place] as usize);
-            axis.len() > 1 && (value == 0 || value + 1 == axis.len())
-        };
-        (0..self.count).filter(is_on_bound).collect()
+    /// The parameters of a set that lie on a bound of an axis with more than one value, by their places in the law. The
+    /// set need not be one of the grid.
+    pub fn on_bound(&self, set: &Parameters) -> Vec<usize> {
+        let axes = self.axes().iter().zip(set.0).enumerate();
+        axes.filter(|(_, (axis, value))| axis.is_on_bound(*value)).map(|(place, _)| place).collect()
     }
 }
 
@@ -201,7 +227,8 @@ mod tests {
             assert_eq!(grid.find(&grid.set(position)), Some(position));
         }
         assert_eq!(grid.set(grid.position(1)).0[..4], [0.1, 1.0, 1.0, 0.7 + 0.07]);
-        assert_eq!(grid.on_bound(GridPosition::of(&[5, 2, 0, 1])), [0, 2]);
+        assert_eq!(grid.on_bound(&grid.set(GridPosition::of(&[5, 2, 0, 1]))), [0, 2]);
+        assert_eq!(grid.on_bound(&Parameters::of(&[3.0, 20.0, 21.0, 0.7])), [0, 2, 3]);
     }
 
     #[test]
@@ -211,5 +238,7 @@ mod tests {
         assert_eq!((axis.value(0), axis.value(6)), (0.1, 6.4));
         assert!((axis.value(3) - 0.8).abs() < 1e-12);
         assert_eq!((axis.find(0.8), axis.find(0.9)), (Some(3), None));
+        assert_eq!((axis.at(0.0), axis.at(1.0)), (0.1, 6.4));
+        assert!((axis.at(0.5) - 0.8).abs() < 1e-12);
     }
 }

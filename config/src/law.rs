@@ -121,7 +121,7 @@ pub struct LawConfig {
     #[serde(default)]
     pub settings: Settings,
     /// The words that a setting may be, by its key; for settings that are words.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub choices: BTreeMap<String, Vec<String>>,
 }
 

@@ -239,6 +239,10 @@ fn run(config: &RunConfig) -> Result<(), Problem> {
     for (index, &alpha) in run.alphas.iter().enumerate() {
         above(&format!("run.alphas[{index}]"), alpha, 0.0, 1.0)?;
     }
+    if let Some(value) = config.tuner.settings.0.get("learners") {
+        let number = value.as_float().or(value.as_integer().map(|it| it as f64));
+        within("tuner.settings.learners", number.unwrap_or(f64::NAN), 1.0, MAX_FLEET.into())?;
+    }
     whole("run.fleet", run.fleet.into(), 0, MAX_FLEET.into())
 }
 

@@ -68,8 +68,7 @@ pub fn train_result(
 
 /// Names of the parameters that lie on a bound of the grid.
 pub(crate) fn on_bound(config: &RunConfig, parameters: &Parameters) -> Vec<String> {
-    let grid = config.grid();
-    let places = grid.find(parameters).map_or(Vec::new(), |position| grid.on_bound(position));
+    let places = config.grid().on_bound(parameters);
     places.into_iter().map(|place| config.law.parameters[place].key.clone()).collect()
 }
 

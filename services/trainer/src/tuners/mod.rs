@@ -169,6 +169,8 @@ mod tests {
             let config = config(name);
             let served = [true, false].map(|forwards| {
                 let mut tuner = tuner(name, &config);
+                // The messages have room for so many.
+                assert_eq!(tuner.learners() as usize, config.learners(), "{name}");
                 let mut steps = 0;
                 while !tuner.is_finished() {
                     let mut learners: Vec<u32> = (0..tuner.learners()).collect();
