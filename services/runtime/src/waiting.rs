@@ -27,6 +27,9 @@ const SLEEPS_AFTER_NS: u64 = 100_000;
 /// Number of looks without a message before a process may sleep: on a busy core each look can take a time slice, on an
 /// idle core all of them are over within `SLEEPS_AFTER_NS`.
 const LOOKS: u32 = 64;
+/// Others keep the core busy if the looks take this long: then sleeping costs less than yielding, because who yields gives
+/// each of them a time slice, while who is woken comes first.
+const CROWDED_AFTER_NS: u64 = 1_000_000;
 /// Longest sleep: bounds what a lost wake-up could cost.
 const NAP: Duration = Duration::from_millis(20);
 
@@ -136,8 +139,10 @@ impl Waiting {
         if self.looks_in_vain == 1 {
             self.since_ns = now_ns();
         }
-        self.is_time = self.looks_in_vain >= self.wait.looks_before_sleep()
-            && now_ns() - self.since_ns >= self.wait.sleeps_after_ns();
+        let waited_ns = now_ns() - self.since_ns;
+        let has_looked = self.looks_in_vain >= self.wait.looks_before_sleep();
+        self.is_time = waited_ns >= self.wait.sleeps_after_ns()
+            && (has_looked || waited_ns >= CROWDED_AFTER_NS);
         self.wait.pause();
         false
     }
@@ -196,17 +201,24 @@ mod tests {
     }
 
     #[test]
-    fn who_blocks_may_sleep_behind_a_second_look_and_others_only_behind_many() {
+    fn who_blocks_may_sleep_after_a_second_look_and_others_after_many_or_slow_ones() {
         let mut blocks = Waiting::new(Wait::Block);
         assert!(!blocks.may_sleep() && blocks.may_sleep() && blocks.may_sleep());
         for wait in [Wait::Yield, Wait::Spin] {
             let mut waiting = Waiting::new(wait);
             let began_ns = now_ns();
-            // However long the looks took, one more look is still to come.
-            assert!((0..LOOKS).all(|_| !waiting.may_sleep()));
+            let mut looks = 1;
             while !waiting.may_sleep() {
+                looks += 1;
                 assert!(now_ns() - began_ns < 1_000_000_000);
             }
+            let waited_ns = now_ns() - began_ns;
+            // However long the looks took, one more was made after it was time.
+            assert!(looks >= 2 && waited_ns >= SLEEPS_AFTER_NS);
+            assert!(
+                looks > LOOKS || waited_ns >= CROWDED_AFTER_NS,
+                "{looks} looks in {waited_ns} ns"
+            );
             waiting.progress();
             assert!(!waiting.may_sleep());
         }
