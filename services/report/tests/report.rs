@@ -525,7 +525,7 @@ fn errors_of_episodes_name_the_line() -> Result<()> {
         ("0,1,1,x,0.8,false,,,,", "return"),
         ("0,1,1,NaN,0.8,false,,,,", "return: NaN"),
         ("0,1,1,0.1,inf,false,,,,", "last_value: inf"),
-        ("5,0,1,0.1,0.8,false,,,,", "learner: 5"),
+        ("5,0,1,0.1,0.8,false,,,,", "learner: is 5"),
         ("-1,0,1,0.1,0.8,false,,,,", "learner"),
         ("0,1,1", "3 values"),
     ] {
