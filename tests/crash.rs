@@ -142,8 +142,12 @@ fn scripted_faults_change_no_byte_and_are_told() {
                   stop controller@drive=50,tick=7 for 3s; drop command p=0.00002";
     let result = sandbox.train("faulty", &with(&["--chaos", script]));
     assert_eq!(result["digest"], calm["digest"]);
-    assert_eq!(result["recovery"]["injected"], 5, "{}", result["recovery"]);
-    assert!(result["recovery"]["recoveries"].as_u64().unwrap() >= 4, "{}", result["recovery"]);
+    assert_eq!(result["run"]["recovery"]["injected"], 5, "{}", result["run"]["recovery"]);
+    assert!(
+        result["run"]["recovery"]["recoveries"].as_u64().unwrap() >= 4,
+        "{}",
+        result["run"]["recovery"]
+    );
     let restarts = |name: &str| {
         let processes = result["processes"].as_array().unwrap();
         processes.iter().find(|process| process["name"] == name).unwrap()["restarts"].clone()
@@ -178,7 +182,7 @@ fn a_terminal_that_nobody_reads_holds_up_nobody() {
     drop(unread);
     let held = sandbox.result("held");
     assert!(status.success());
-    assert_eq!(held["recovery"]["injected"], 1, "{}", held["recovery"]);
+    assert_eq!(held["run"]["recovery"]["injected"], 1, "{}", held["run"]["recovery"]);
     assert_eq!(held["digest"], calm["digest"]);
     sandbox.assert_clean();
 }
@@ -191,7 +195,7 @@ fn a_slow_process_is_not_taken_for_a_frozen_one() {
     let slow = [&args[..], &["--chaos", "delay odometry 5ms"]].concat();
     let slow = sandbox.train("slow", &slow);
     assert_eq!(slow["digest"], calm["digest"]);
-    assert_eq!(slow["recovery"]["recoveries"], 0, "{}", slow["recovery"]);
+    assert_eq!(slow["run"]["recovery"]["recoveries"], 0, "{}", slow["run"]["recovery"]);
     sandbox.assert_clean();
 }
 
@@ -266,7 +270,8 @@ fn a_stopped_training_goes_on_to_the_same_digest() {
     // A finished one has nothing left to drive, and says the same once more.
     let again = sandbox.resume_training("stopped", &[]).succeed();
     assert_eq!(again["digest"], calm["digest"]);
-    assert_eq!(again["drives"]["driven"], 0);
+    assert_eq!(again["drives"], calm["drives"]);
+    assert_eq!(again["run"]["drives"]["reported"], 0);
     assert_eq!(sandbox.run(&["stop"]).status.code(), Some(64));
     sandbox.assert_clean();
 }

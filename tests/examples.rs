@@ -2,6 +2,7 @@
 
 mod support;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
@@ -120,15 +121,17 @@ fn the_python_vehicle_trains_as_ours_does() {
     let replaced = format!("vehicle={}", vehicle.join(" "));
     let theirs =
         sandbox.train("theirs", &["lane_change", "--episodes", "2", "--replace", &replaced]);
-    let distances = |result: &Value| -> Vec<f64> {
-        let learners = result["learners"].as_array().unwrap().iter();
-        let episodes = learners.flat_map(|learner| learner["episodes"].as_array().unwrap());
-        episodes
-            .flat_map(|episode| episode["distances"].as_array().unwrap())
-            .map(|distance| distance.as_f64().unwrap())
-            .collect()
+    assert_eq!(ours["drives"]["asked"], theirs["drives"]["asked"]);
+    // By learner and step: the two fleets' drives come back in another order.
+    let distances = |out: &str| -> Vec<f64> {
+        let mut reader = csv::Reader::from_path(sandbox.path(out).join("drives.csv")).unwrap();
+        let rows = reader.deserialize().map(Result::unwrap);
+        let mut drives: Vec<BTreeMap<String, String>> = rows.collect();
+        let number = |row: &BTreeMap<String, String>, key: &str| row[key].parse::<f64>().unwrap();
+        drives.sort_by_key(|row| (number(row, "learner") as u32, number(row, "step") as u32));
+        drives.iter().map(|row| number(row, "distance")).collect()
     };
-    let (ours, theirs) = (distances(&ours), distances(&theirs));
+    let (ours, theirs) = (distances("ours"), distances("theirs"));
     assert_eq!(ours.len(), theirs.len());
     for (ours, theirs) in ours.iter().zip(&theirs) {
         assert!((ours - theirs).abs() < 1e-9, "{ours} against {theirs}");

@@ -7,7 +7,7 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::process::Output;
 use std::time::Duration;
 
-use config::{Gains, Layers, Vehicle};
+use config::{Layers, NamedParameters, Vehicle};
 use serde_json::Value;
 use support::Sandbox;
 
@@ -43,8 +43,9 @@ fn car(sandbox: &Sandbox) -> Vehicle {
     Layers::vehicle_of_file(sandbox.path("car.toml").to_str().unwrap()).unwrap()
 }
 
-fn gains_of(value: &Value) -> Gains {
-    Gains::from_array(Gains::NAMES.map(|name| value[name].as_f64().unwrap()))
+fn gains_of(value: &Value) -> NamedParameters {
+    let of = |key: &str| (key.to_owned(), value[key].as_f64().unwrap());
+    NamedParameters(["kv", "kl", "ks", "ki"].map(of).to_vec())
 }
 
 /// A sandbox with a car and a short training; its result.
@@ -74,11 +75,11 @@ fn gains_are_promoted_listed_shown_and_driven() {
     assert!(text.starts_with(CAR), "{text}");
     let set = &car(&sandbox).gains["lane_change"];
     let origin = set.provenance.clone().unwrap();
-    assert_eq!(set.gains(), gains_of(&result["gains"]));
+    assert_eq!(set.parameters, gains_of(&result["gains"]));
     assert_eq!(result["digest"], *origin.digest);
     assert_eq!((&*origin.run, &*origin.maneuver), ("first", "lane_change"));
     assert_eq!((&*origin.vehicle, origin.noise), ("tesla_model_3", false));
-    assert_eq!(result["grid"]["rank_distance"], origin.rank_distance);
+    assert_eq!(result["grid"]["rank_distance"].as_u64(), origin.rank_distance);
     assert_eq!(result["distance"], origin.distance);
 
     let short = &origin.digest[..12];
@@ -92,7 +93,7 @@ fn gains_are_promoted_listed_shown_and_driven() {
     let shown: Value =
         serde_json::from_str(&gains(&sandbox, &["show", "car.toml", "lane_change", "--json"]))
             .unwrap();
-    assert_eq!(gains_of(&shown["gains"]), set.gains());
+    assert_eq!(gains_of(&shown["gains"]), set.parameters);
 
     let args = ["drive", "lane_change", "--vehicle", "car.toml", "--out", "driven"];
     let driven = sandbox.run(&args);
@@ -123,7 +124,11 @@ fn a_large_change_is_refused_then_forced_and_rolled_back() {
     fs::write(sandbox.path("car.toml"), &by_hand).unwrap();
     let parts = ["car.toml", "gains.lane_change", "kv from 0.1 to", "%", "--force"];
     refused(&sandbox, &["promote", "first", "car.toml"], &parts);
-    refused(&sandbox, &["rollback", "car.toml"], &["lane_change", "nothing stood there before"]);
+    refused(
+        &sandbox,
+        &["rollback", "car.toml"],
+        &["lane_change", "there were no gains before these"],
+    );
     let forced = gains(&sandbox, &["promote", "first", "car.toml", "--force"]);
     assert!(forced.contains("kv 0.1 ->"), "{forced}");
     let first = car(&sandbox).gains["lane_change"].clone();
@@ -132,15 +137,20 @@ fn a_large_change_is_refused_then_forced_and_rolled_back() {
 
     gains(&sandbox, &["rollback", "car.toml"]);
     let text = fs::read_to_string(sandbox.path("car.toml")).unwrap();
-    assert!(text.starts_with(&by_hand), "{text}");
+    // In the form of this version, as it was written, with its comment.
+    let rewritten = "\n[gains.lane_change]\nlaw = \"paper\"\n";
+    assert!(text.starts_with(&format!("{CAR}{rewritten}")), "{text}");
+    let table =
+        "[gains.lane_change.parameters]\nkv = 1e-1 # by feel\nkl = 2.10\nks = 1_000\nki = 0.1\n";
+    assert!(text.contains(table), "{text}");
     let set = car(&sandbox).gains["lane_change"].clone();
     assert_eq!((set.provenance, set.history.len()), (None, 1));
-    refused(&sandbox, &["rollback", "car.toml"], &["--to N brings back"]);
+    refused(&sandbox, &["rollback", "car.toml"], &["--to N restores"]);
     refused(&sandbox, &["rollback", "car.toml", "--to", "2"], &["--to 2", "history holds 1"]);
     refused(&sandbox, &["rollback", "car.toml", "roundabout"], &["roundabout", "lane_change"]);
     gains(&sandbox, &["rollback", "car.toml", "lane_change", "--to", "1"]);
     let set = car(&sandbox).gains["lane_change"].clone();
-    assert_eq!((set.gains(), set.provenance), (first.gains(), first.provenance));
+    assert_eq!((set.parameters, set.provenance), (first.parameters, first.provenance));
 }
 
 #[test]
@@ -159,11 +169,11 @@ fn what_is_no_finished_training_is_refused() {
     promote("living", &["living", "a living run trains in this folder"]);
     training.interrupt();
     training.finish();
-    promote("living", &["living", "is no finished training", "--resume living"]);
+    promote("living", &["living", "is not a finished training", "--resume living"]);
     fs::copy(sandbox.path("first/result.json"), sandbox.path("living/result.json")).unwrap();
     promote("living", &["living", "result.json does not belong to the journal"]);
     fs::remove_file(sandbox.path("first/journal")).unwrap();
-    promote("first", &["first", "is no finished training", "journal"]);
+    promote("first", &["first", "is not a finished training", "journal"]);
     sandbox.assert_clean();
 }
 
@@ -173,7 +183,7 @@ fn what_is_no_file_of_the_users_is_refused() {
     let promote = |car: &str, parts: &[&str]| refused(&sandbox, &["promote", "first", car], parts);
     promote("tesla_model_3", &["is a preset", "pathtune config init"]);
     promote("none.toml", &["none.toml", "no such file", "pathtune config init"]);
-    promote(".", &["no vehicle's file"]);
+    promote(".", &["is not a vehicle's file"]);
     refused(&sandbox, &["list", "f1tenth"], &["is a preset", "vehicles/f1tenth.toml"]);
 
     // Another car than the training's.

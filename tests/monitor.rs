@@ -182,8 +182,8 @@ fn mistakes_are_told_in_one_line() {
     };
     check(&[], "no run is alive");
     check(&["--run", "zz"], "no living run has a number or folder");
-    for time in ["0s", "-1s", "soon", "", "1"] {
-        check(&["--for", time], "a time above zero is meant");
+    for time in ["0s", "-1s", "soon", "", "0"] {
+        check(&["--for", time], "expected a time above zero");
     }
     let training = a_long_training(&sandbox, &[]);
     check(&["--vehicle", "7"], "there is no vehicle 7: the fleet has");

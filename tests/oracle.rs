@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use config::{Gains, RunConfig};
+use config::{Parameters, RunConfig};
 use ipc_types::topics::OBSERVER_BUFFER;
 use ipc_types::{
     Attempt, BatchHeader, Command, DriveOutcome, DriveReport, DriveRequest, Odometry, Proposal,
@@ -76,7 +76,7 @@ struct Comparer {
     folder: PathBuf,
     config: RunConfig,
     rollout: Rollout,
-    sets: Vec<Gains>,
+    sets: Vec<Parameters>,
     compared: usize,
     waiting: bool,
 }
@@ -114,7 +114,7 @@ impl Comparer {
         let (sets, compared, ticks) = (&self.sets, self.compared, self.config.ticks());
         let noise = self.config.noise.enabled;
         self.proposals.send(header, rest.min(self.config.fleet()), |slot| Proposal {
-            parameters: sets[compared + slot].to_parameters(),
+            parameters: sets[compared + slot].0,
             seed: (compared + slot) as u64,
             ticks,
             learner: slot as u32,
@@ -159,16 +159,21 @@ impl Comparer {
                 same(passed.speed_mps, if ended { 0.0 } else { record.passed.speed_mps })?;
                 same(passed.steering_rad, record.passed.steering_rad)?;
             }
-            let metrics = ended.metrics;
-            ensure!((report.trace, report.ticks) == (ended.trace, metrics.ticks));
+            ensure!((report.trace, report.ticks) == (ended.trace, ended.ticks));
             ensure!(report.reason == DriveReport::TIME);
-            ensure!(report.steering_limited_ticks == metrics.steering_limited_ticks);
-            same(report.mean_abs_along_m, metrics.mean_abs_along_m)?;
-            same(report.mean_abs_cross_m, metrics.mean_abs_cross_m)?;
-            same(report.mean_abs_heading_rad, metrics.mean_abs_heading_rad)?;
-            same(report.along_mse_m2, metrics.along_mse_m2)?;
-            same(report.cross_mse_m2, metrics.cross_mse_m2)?;
-            same(report.max_abs_cross_m, metrics.max_abs_cross_m)?;
+            ensure!(report.steering_limited_ticks == ended.steering_limited_ticks);
+            same(report.mean_abs_along_m, ended.mean_abs_along_m)?;
+            same(report.mean_abs_cross_m, ended.mean_abs_cross_m)?;
+            same(report.mean_abs_heading_rad, ended.mean_abs_heading_rad)?;
+            same(report.along_mse_m2, ended.along_mse_m2)?;
+            same(report.cross_mse_m2, ended.cross_mse_m2)?;
+            same(report.max_abs_cross_m, ended.max_abs_cross_m)?;
+            same(report.path_mean_m, ended.path_mean_m)?;
+            same(report.path_p95_m, ended.path_p95_m)?;
+            same(report.path_max_m, ended.path_max_m)?;
+            same(report.progress, ended.progress)?;
+            same(report.steering_travel_radps, ended.steering_travel_radps)?;
+            same(report.lateral_acceleration_max_mps2, ended.lateral_acceleration_max_mps2)?;
         }
         self.compared += outcomes.len();
         Ok(())
@@ -218,7 +223,7 @@ fn same_pose(got: WirePose, wanted: Pose) -> Result<()> {
 }
 
 /// Uniform over the grid's ranges, on no grid point.
-fn random_sets(config: &RunConfig) -> Vec<Gains> {
+fn random_sets(config: &RunConfig) -> Vec<Parameters> {
     let mut state = 0x2545_f491_4f6c_dd1d_u64;
     let mut uniform = || {
         state ^= state << 13;
@@ -226,8 +231,10 @@ fn random_sets(config: &RunConfig) -> Vec<Gains> {
         state ^= state << 17;
         (state >> 11) as f64 / (1u64 << 53) as f64
     };
-    let axes = config.grid.axes();
-    (0..SETS)
-        .map(|_| Gains::from_array(axes.map(|axis| axis.min + (axis.max - axis.min) * uniform())))
-        .collect()
+    let set = |_| {
+        let axes = config.law.keys().map(|key| config.grid[key]);
+        let values: Vec<f64> = axes.map(|it| it.min + (it.max - it.min) * uniform()).collect();
+        Parameters::of(&values)
+    };
+    (0..SETS).map(set).collect()
 }

@@ -2,6 +2,7 @@
 
 mod support;
 
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fs;
 
@@ -26,6 +27,14 @@ fn circle() -> String {
     csv((0..=90).map(|index| {
         let angle = TAU * f64::from(index) / 90.0;
         (15.0 * angle.sin(), 15.0 * (1.0 - angle.cos()))
+    }))
+}
+
+/// A figure eight of 6.4 m for a car at the scale of 1:10.
+fn eight() -> String {
+    csv((0..=260).map(|index| {
+        let angle = TAU * f64::from(index) / 260.0;
+        (3.2 * angle.sin(), 1.6 * (2.0 * angle).sin())
     }))
 }
 
@@ -72,6 +81,35 @@ fn a_slalom_and_a_closed_circle_train_and_validate() {
         let resumed: Value = serde_json::from_slice(&resumed.stdout).unwrap();
         assert_eq!(resumed["digest"], result["digest"]);
     }
+    sandbox.assert_clean();
+}
+
+/// The best of the grid once was a set that stood still before the end of the path and never arrived.
+#[test]
+fn what_never_arrives_ranks_behind_all_that_arrive() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("eight.csv"), eight()).unwrap();
+    let cheats = "3,1,21,0.84";
+    let args = ["grid", "--path", "eight.csv", "--vehicle", "f1tenth", "--gains", cheats];
+    let result = sandbox.json("out", &args);
+    assert_eq!(result["objective"], "path");
+    for set in result["best"].as_array().unwrap() {
+        assert_eq!(set["arrived"], true, "{set}");
+    }
+    let mut reader = csv::Reader::from_path(sandbox.path("out/grid.csv")).unwrap();
+    let rows = reader.deserialize().map(|row| row.unwrap());
+    let mut sets: Vec<BTreeMap<String, String>> = rows.collect();
+    let value = |set: &BTreeMap<String, String>| set["value"].parse::<f64>().unwrap();
+    assert!(sets.iter().all(|set| value(set).is_finite()));
+    sets.sort_by(|a, b| value(a).total_cmp(&value(b)));
+    let arrived = sets.iter().filter(|set| set["arrived"] == "true").count();
+    assert!(0 < arrived && arrived < sets.len(), "{arrived} of {}", sets.len());
+    assert!(sets[..arrived].iter().all(|set| set["arrived"] == "true"));
+    // The learners see the same values: what is tuned arrives.
+    let args = ["--path", "eight.csv", "--vehicle", "f1tenth", "--episodes", "6"];
+    let tuned = sandbox.train("tuned", &args);
+    assert_eq!(tuned["arrived"], true);
+    assert_eq!(tuned["value"], tuned["path_mean_m"]);
     sandbox.assert_clean();
 }
 

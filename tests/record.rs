@@ -5,7 +5,7 @@ mod support;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use config::{Gains, Layers, RunConfig};
+use config::{Layers, Parameters, RunConfig};
 use ipc_types::layout::Bytes;
 use ipc_types::{
     BatchHeader, Command as VehicleCommand, DriveReport, DriveRequest, Odometry, TickHeader,
@@ -86,8 +86,8 @@ fn record(sandbox: &Sandbox, maneuver: &str, more: &[&str]) -> (PathBuf, Value) 
 }
 
 /// Compares every tick of a recording of drives with plain calls, bit for bit; tells how many there were.
-fn compare_with_rollout(recording: &Recording, config: &RunConfig, sets: &[Gains]) -> usize {
-    let by_zone = config.gains_by_zone(sets);
+fn compare_with_rollout(recording: &Recording, config: &RunConfig, sets: &[Parameters]) -> usize {
+    let by_zone = config.sets_by_zone(sets);
     let odometry = all::<TickHeader, Odometry>(recording, "odometry");
     let commands = all::<TickHeader, VehicleCommand>(recording, "command");
     let errors = all::<TickHeader, TrackingError>(recording, "tracking_error");
@@ -139,7 +139,8 @@ fn a_run_is_recorded_from_its_first_tick_bit_for_bit() {
         let recording = Recording::read(&path).unwrap();
         assert_whole(&recording);
         let config = config(maneuver);
-        let ticks = compare_with_rollout(&recording, &config, &Gains::parse_sets(gains).unwrap());
+        let ticks =
+            compare_with_rollout(&recording, &config, &config.law.parse_sets(gains).unwrap());
         assert_eq!(recording.beginning["from_first_tick"], "true");
         assert_eq!(recording.beginning["maneuver"], maneuver);
         assert_eq!(recording.end.as_ref().unwrap()["digest"], result["digest"]);

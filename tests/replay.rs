@@ -5,7 +5,7 @@ mod support;
 use std::fs;
 use std::process::Output;
 
-use config::{Gains, Layers, RunConfig};
+use config::{Layers, Parameters, RunConfig};
 use rollout::Rollout;
 use support::Sandbox;
 
@@ -29,12 +29,12 @@ fn told(output: &Output) -> (Option<i32>, String, String) {
 
 /// The commands of a noise-free drive along recorded poses: those of the drive that was recorded, answered with other
 /// gains. Returns the first tick whose raw command differs.
-fn first_difference(config: &RunConfig, was: &[Gains], is: &[Gains]) -> u64 {
+fn first_difference(config: &RunConfig, was: &[Parameters], is: &[Parameters]) -> u64 {
     let mut recorded = Vec::new();
-    let by_zone = config.gains_by_zone(was);
+    let by_zone = config.sets_by_zone(was);
     Rollout::new(config).drive_scheduled(&by_zone, None, |_, record| recorded.push(*record));
     let mut replayed = Vec::new();
-    let by_zone = config.gains_by_zone(is);
+    let by_zone = config.sets_by_zone(is);
     Rollout::new(config).drive_scheduled(&by_zone, None, |_, record| replayed.push(*record));
     // Until the first difference both drives are the same, poses included.
     let differs = recorded.iter().zip(&replayed).position(|(was, is)| {
@@ -73,7 +73,7 @@ fn a_changed_gain_shows_at_the_first_tick_that_it_can() {
     let (was, is) = ("3,21,21,.7/3.4,21,1,.84", "3,21,21,.7/3.4,21,1.5,.84");
     let file = record(&sandbox, "circuit", was);
     let config = config("circuit");
-    let parse = |text: &str| Gains::parse_sets(text).unwrap();
+    let parse = |text: &str| config.law.parse_sets(text).unwrap();
     let tick = first_difference(&config, &parse(was), &parse(is));
     let output = sandbox.run(&["replay", &file, "--gains", is]);
     let (code, out, err) = told(&output);
@@ -118,8 +118,8 @@ fn a_split_recording_is_replayed_from_its_first_file() {
     let output = sandbox.run(&["replay", &part(1)]);
     let (code, out, err) = told(&output);
     assert_eq!(code, Some(0), "{out}{err}");
-    let drives = sandbox.result("out")["drives"].clone();
-    let driven = drives["driven"].as_u64().unwrap() + drives["beside"].as_u64().unwrap();
+    let drives = sandbox.result("out")["run"]["drives"].clone();
+    let driven = drives["reported"].as_u64().unwrap() + drives["beside"].as_u64().unwrap();
     let compared: u64 = out.split_whitespace().nth(2).unwrap().parse().unwrap();
     // A fleet's drives are compared together, and each tick once.
     assert!(compared >= driven * config("lane_change").ticks() / 6, "{out}{drives}");
@@ -129,7 +129,7 @@ fn a_split_recording_is_replayed_from_its_first_file() {
         assert_eq!(code, Some(64), "{out}{err}");
         assert!(err.contains(why) && err.trim_end().lines().count() == 1, "{err}");
     };
-    refused(part(2), "is part 2 of a recording, behind recording-0001.mcap; name the first one");
+    refused(part(2), "is part 2 of a recording, after recording-0001.mcap; name the first one");
     fs::copy(sandbox.path(&part(3)), sandbox.path(&part(2))).unwrap();
     refused(part(1), "recording-0002.mcap is not part 2");
     fs::remove_file(sandbox.path(&part(2))).unwrap();
@@ -155,7 +155,7 @@ fn what_cannot_be_compared_is_refused() {
     for (file, more, part) in [
         (old.display().to_string(), &[][..], "was made by an earlier version of pathtune; "),
         (cut.display().to_string(), &[], "cut off"),
-        (text.display().to_string(), &[], "no recording"),
+        (text.display().to_string(), &[], "not a recording"),
         (sandbox.path("none.mcap").display().to_string(), &[], "failed to read"),
         (file.clone(), &["--gains", "3,21,21"], "holds 3 numbers"),
         (file.clone(), &["--set", "drive.colour=1"], "no such key"),

@@ -383,7 +383,7 @@ mod with {
         let Some(python) = python() else { return };
         for (with_car, part) in [
             (false, "no odometry on /odom; publishers seen: 0"),
-            (true, "no odometry on /odom; publishers seen: 1, best effort; ours asks reliable"),
+            (true, "no odometry on /odom; publishers seen: 1, best effort; ours asks for reliable"),
         ] {
             let (sandbox, domain) = (Sandbox::new(), own_domain());
             let car = with_car.then(|| Peer::start(&sandbox, &python, domain, &[]));
@@ -411,7 +411,7 @@ mod with {
             let told = ring.told();
             assert!(told.contains(part), "{told}");
             assert!(told.contains("waits for odometry"), "{told}");
-            assert_eq!(told.contains("nobody hears /drive"), !with_car, "{told}");
+            assert_eq!(told.contains("nobody receives /drive"), !with_car, "{told}");
             assert!(beats >= 15, "{beats} beats, ready after {ready:?}");
             assert!(ring.heard.is_empty() && !ring.is_at_start());
             ring.stop();

@@ -4,7 +4,7 @@ mod support;
 
 use std::path::Path;
 
-use config::{Gains, Layers, RunConfig};
+use config::{Layers, Parameters, RunConfig};
 use rollout::{Rollout, TickRecord};
 use serde_json::Value;
 use support::Sandbox;
@@ -25,6 +25,24 @@ fn config(maneuver: &str) -> RunConfig {
     layers.resolve().unwrap()
 }
 
+/// Digests over the reports of all drives, as they have been since the first version: every gain, mean error, mse and
+/// trace, bit for bit. Not to be changed without a reason in the changelog.
+const VALIDATED: [(&str, &str); 3] = [
+    ("lane_change", "304fbe63d9551707b9b83f9a24ede4c4c21b65aca77165757a9550cbf2216cd7"),
+    ("roundabout", "8b8add2a79aa462a0192aa65f72d50edef6802875b8ace3f7511b768d298f91e"),
+    ("circuit", "5189ad2814c74a111615ff6b215e382d766453448e2c45c9edeed32595acc695"),
+];
+/// The same of the grids, with the set 1.26, 11, 21, 0.84 named.
+const GRIDS: [(&str, &str); 2] = [
+    ("lane_change", "0ea6272a1d23736f6a5229bc36dbab5276631dc10d0e4eec64ff96c0fec5abff"),
+    ("roundabout", "90b38b41c6f9a0ec90fa6f4669a4e55681f186bd0f4e630066a9e667260f8e41"),
+];
+
+fn is_as_ever(figures: &[(&str, &str)], maneuver: &str, result: &Value) {
+    let (_, digest) = figures.iter().find(|(name, _)| *name == maneuver).unwrap();
+    assert_eq!(result["digest"], *digest, "{maneuver}");
+}
+
 #[test]
 fn both_tables_of_the_maneuvers_are_met() {
     let mut logs = Vec::new();
@@ -32,6 +50,7 @@ fn both_tables_of_the_maneuvers_are_met() {
         let sandbox = Sandbox::new();
         let result = sandbox.json("out", &["validate", maneuver]);
         sandbox.assert_clean();
+        is_as_ever(&VALIDATED, maneuver, &result);
         assert_eq!(rows(&result).len(), 6);
         let chosen = rows(&result).iter().find(|row| row["chosen_by_paper"] == true).unwrap();
         for row in rows(&result) {
@@ -59,6 +78,7 @@ fn both_tables_of_the_maneuvers_are_met() {
 fn the_circuit_switches_where_the_poses_say() {
     let sandbox = Sandbox::new();
     let result = sandbox.json("out", &["validate", "circuit"]);
+    is_as_ever(&VALIDATED, "circuit", &result);
     let config = config("circuit");
     assert_eq!(rows(&result).len(), 3);
     for row in rows(&result) {
@@ -119,7 +139,11 @@ fn the_circuit_switches_where_the_poses_say() {
     let again = sandbox.json("again", &["validate", "circuit", "--fleet", "7", "--chaos", faults]);
     assert_eq!(again["digest"], result["digest"]);
     assert_eq!(again["rows"], result["rows"]);
-    assert!(again["recovery"]["recoveries"].as_u64().unwrap() >= 4, "{}", again["recovery"]);
+    assert!(
+        again["run"]["recovery"]["recoveries"].as_u64().unwrap() >= 4,
+        "{}",
+        again["run"]["recovery"]
+    );
     sandbox.assert_clean();
 }
 
@@ -129,8 +153,9 @@ fn recorded_drives_equal_plain_calls_bit_for_bit() {
         let sandbox = Sandbox::new();
         let result = sandbox.json("out", &["validate", maneuver, "--repeats", "2"]);
         let config = config(maneuver);
-        let chosen = config.paper.iter().position(|row| row.chosen).unwrap();
-        let by_zone = config.gains_by_zone(&config.paper[chosen].gains);
+        let paper_rows = config.paper_rows();
+        let chosen = paper_rows.iter().position(|row| row.chosen).unwrap();
+        let by_zone = config.sets_by_zone(&paper_rows[chosen].sets);
         for (name, seed) in [("paper_noise_free", None), ("paper_noisy", Some(1))] {
             let mut records: Vec<TickRecord> = Vec::new();
             let mut rollout = Rollout::new(&config);
@@ -158,17 +183,19 @@ fn recorded_drives_equal_plain_calls_bit_for_bit() {
             }
             if seed.is_none() {
                 let plain = &result["rows"][chosen]["noise_free"];
-                assert_eq!(number(&plain["mse_m2"]), ended.metrics.mse_m2());
-                assert_eq!(number(&plain["distance"]), ended.metrics.distance(10.0));
-                assert_eq!(number(&plain["max_cross_track_m"]), ended.metrics.max_abs_cross_m);
+                assert_eq!(number(&plain["mse_m2"]), ended.mse_m2());
+                assert_eq!(number(&plain["distance"]), ended.distance(10.0));
+                assert_eq!(number(&plain["max_cross_track_m"]), ended.max_abs_cross_m);
+                assert_eq!(number(&plain["path_mean_m"]), ended.path_mean_m);
+                assert_eq!(number(&plain["path_p95_m"]), ended.path_p95_m);
+                assert_eq!(number(&plain["path_max_m"]), ended.path_max_m);
             }
         }
         // Repeat r of every set uses noise seed r.
-        for (row, paper) in rows(&result).iter().zip(&config.paper) {
-            let by_zone = config.gains_by_zone(&paper.gains);
+        for (row, paper) in rows(&result).iter().zip(&paper_rows) {
+            let by_zone = config.sets_by_zone(&paper.sets);
             let mut rollout = Rollout::new(&config);
-            let mut mse =
-                |seed| rollout.drive_scheduled(&by_zone, Some(seed), |_, _| {}).metrics.mse_m2();
+            let mut mse = |seed| rollout.drive_scheduled(&by_zone, Some(seed), |_, _| {}).mse_m2();
             let (first, second) = (mse(1), mse(2));
             assert_eq!(number(&row["noisy"]["mse_m2_worst"]), first.max(second));
             assert_eq!(number(&row["noisy"]["mse_m2_mean"]), (first + second) / 2.0);
@@ -183,19 +210,33 @@ fn the_grid_equals_plain_calls_bit_for_bit() {
         let yours = "1.26,11,21,0.84";
         let result = sandbox.json("out", &["grid", maneuver, "--gains", yours]);
         sandbox.assert_clean();
+        is_as_ever(&GRIDS, maneuver, &result);
         let config = Layers::maneuver(maneuver).unwrap().resolve().unwrap();
         let mut rollout = Rollout::new(&config);
-        let mut drive = |gains| rollout.drive(gains, None).metrics;
-        for (set, position) in config.grid.positions().enumerate() {
-            let metrics = drive(config.grid.gains(position));
-            assert_eq!(number(&result["distances"][set]), metrics.distance(10.0));
-            assert_eq!(number(&result["mses_m2"][set]), metrics.mse_m2());
+        let mut drive = |set| rollout.drive(set, None);
+        let sets = rows_of(&sandbox.path("out/grid.csv"));
+        let grid = config.grid();
+        assert_eq!(sets.len(), grid.len());
+        for (row, position) in sets.iter().zip(grid.positions()) {
+            let set = grid.set(position);
+            for (key, value) in config.law.keys().zip(set.0) {
+                assert_eq!(row.number(key), value);
+            }
+            let record = drive(set);
+            // The paper's objective.
+            assert_eq!(row.number("value"), record.distance(10.0));
+            assert_eq!(row.number("distance"), record.distance(10.0));
+            assert_eq!(row.number("mse_m2"), record.mse_m2());
+            assert_eq!(row.number("path_mean_m"), record.path_mean_m);
+            assert_eq!(row.number("path_p95_m"), record.path_p95_m);
+            assert_eq!(row.number("path_max_m"), record.path_max_m);
+            assert_eq!(row.0["arrived"], record.arrived().to_string());
         }
         let [paper, named] = &result["sets"].as_array().unwrap()[..] else { panic!("{result}") };
         assert_eq!((&paper["name"], &named["name"]), (&"paper".into(), &"yours".into()));
-        let metrics = drive(Gains { kv: 1.26, kl: 11.0, ks: 21.0, ki: 0.84 });
-        assert_eq!(number(&named["mse_m2"]), metrics.mse_m2());
-        let all: Vec<f64> = result["distances"].as_array().unwrap().iter().map(number).collect();
+        let record = drive(Parameters::of(&[1.26, 11.0, 21.0, 0.84]));
+        assert_eq!(number(&named["mse_m2"]), record.mse_m2());
+        let all: Vec<f64> = sets.iter().map(|row| row.number("distance")).collect();
         let rank = 1 + all.iter().filter(|it| **it < number(&named["distance"])).count();
         assert_eq!(named["rank_distance"], rank);
         let best = &result["best_by_distance"][0];
@@ -234,10 +275,10 @@ fn named_gains_stand_beside_the_paper_s_figures_where_it_has_some() {
     sandbox.assert_clean();
 }
 
-/// One line of a recording.
-struct Tick(std::collections::BTreeMap<String, String>);
+/// One line of a CSV file.
+struct Row(std::collections::BTreeMap<String, String>);
 
-impl Tick {
+impl Row {
     fn number(&self, column: &str) -> f64 {
         self.0[column].parse().unwrap()
     }
@@ -264,8 +305,11 @@ impl Tick {
     }
 }
 
-fn recording(run: &Path, name: &str) -> Vec<Tick> {
-    let path = run.join("drives").join(format!("{name}.csv"));
-    let mut reader = csv::Reader::from_path(&path).unwrap();
-    reader.deserialize().map(|row| Tick(row.unwrap())).collect()
+fn recording(run: &Path, name: &str) -> Vec<Row> {
+    rows_of(&run.join("drives").join(format!("{name}.csv")))
+}
+
+fn rows_of(path: &Path) -> Vec<Row> {
+    let mut reader = csv::Reader::from_path(path).unwrap();
+    reader.deserialize().map(|row| Row(row.unwrap())).collect()
 }

@@ -20,9 +20,13 @@ fn every_way_of_waiting_gives_the_same_bytes() {
         for fleet in ["1", "6"] {
             let more = ["--wait", wait, "--fleet", fleet];
             let result = sandbox.train(&format!("{wait}{fleet}"), &[&training[..], &more].concat());
-            assert_eq!(result["waiting"], wait);
+            assert_eq!(result["run"]["waiting"], wait);
             assert_eq!(result["digest"], calm["digest"], "{more:?}");
-            assert_eq!(result["recovery"]["stalls"], 0, "{more:?}: {}", result["recovery"]);
+            assert_eq!(
+                result["run"]["recovery"]["stalls"], 0,
+                "{more:?}: {}",
+                result["run"]["recovery"]
+            );
         }
     }
     // Two that would each like a core to themselves, on whatever cores there are.
@@ -45,7 +49,7 @@ fn a_killed_process_comes_back_however_the_others_wait() {
         let more = ["--wait", wait, "--chaos", script];
         let result = sandbox.train(wait, &[&TRAINING[..], &more].concat());
         assert_eq!(result["digest"], calm["digest"]);
-        assert_eq!(result["recovery"]["injected"], 3);
+        assert_eq!(result["run"]["recovery"]["injected"], 3);
     }
     sandbox.assert_clean();
 }

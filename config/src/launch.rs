@@ -1,61 +1,54 @@
 //! The launch file: which processes make up a pipeline. One `[[process]]` each.
+//!
+//! The list of our own services is not known here: it is in one table next to the doorway,
+//! `orchestrator/services.rs`.
 
 use serde::{Deserialize, Serialize};
 
 use crate::ConfigError;
 use crate::presets::preset;
 
-/// The part that a process plays.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Role {
+macro_rules! roles {
+    ($($(#[$doc:meta])* $role:ident $name:literal $optional:literal,)+) => {
+        /// The part that a process plays.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        pub enum Role { $($(#[$doc])* #[serde(rename = $name)] $role,)+ }
+
+        impl Role {
+            /// Every role.
+            pub const ALL: &'static [Role] = &[$(Role::$role),+];
+
+            /// The role's name in launch files.
+            pub fn name(self) -> &'static str {
+                match self { $(Role::$role => $name,)+ }
+            }
+
+            /// Whether a pipeline can do without it.
+            pub fn is_optional(self) -> bool {
+                match self { $(Role::$role => $optional,)+ }
+            }
+        }
+    };
+}
+
+// Each with its name in launch files, and whether a pipeline can do without it.
+roles! {
     /// Publishes odometry, obeys commands, paces the loop.
-    Vehicle,
-    /// Turns odometry into raw commands.
-    Controller,
+    Vehicle "vehicle" false,
     /// Passes raw commands on as commands, within limits.
-    Supervisor,
-    /// Proposes gains, learns from reports.
-    Trainer,
-    /// Writes down whatever is said; there may be none.
-    Recorder,
+    Supervisor "supervisor" false,
+    /// Turns odometry into raw commands.
+    Controller "controller" false,
+    /// Proposes parameters, learns from reports.
+    Trainer "trainer" false,
+    /// Records all messages.
+    Recorder "recorder" true,
 }
 
 impl Role {
-    /// Every role.
-    pub const ALL: [Role; 5] =
-        [Role::Vehicle, Role::Supervisor, Role::Controller, Role::Trainer, Role::Recorder];
-
-    /// Whether a pipeline can do without it.
-    pub fn is_optional(self) -> bool {
-        self == Role::Recorder
-    }
-
-    /// The role's name in launch files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Role::Vehicle => "vehicle",
-            Role::Controller => "controller",
-            Role::Supervisor => "supervisor",
-            Role::Trainer => "trainer",
-            Role::Recorder => "recorder",
-        }
-    }
-
     /// The role with this name.
     pub fn parse(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|role| role.name() == name)
-    }
-
-    /// Our own services that can fill the role, the usual one first.
-    pub fn own_services(self) -> &'static [&'static str] {
-        match self {
-            Role::Vehicle => &["simulator", "replayer", "ros2-vehicle"],
-            Role::Controller => &["controller"],
-            Role::Supervisor => &["supervisor"],
-            Role::Trainer => &["trainer", "schedule", "reviewer"],
-            Role::Recorder => &["recorder"],
-        }
+        Self::ALL.iter().copied().find(|role| role.name() == name)
     }
 }
 
@@ -65,39 +58,26 @@ impl Role {
 pub struct ProcessEntry {
     /// The part it plays.
     pub role: Role,
-    /// A program of the user's in that role; our own service where absent.
+    /// A program of the user's in that role; if absent, our own service.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub command: Option<String>,
-    /// Our own service in that role, where it is not the usual one.
+    /// Our own service in that role, if it is not the usual one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub service: Option<String>,
     /// Whether the same request always gives the same drive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deterministic: Option<bool>,
-    /// Restarts that it gets in ten seconds, where that differs from the others.
+    /// Restarts that it is allowed in ten seconds, if that differs from the other processes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub restart_budget: Option<u32>,
-    /// Size at which the recorder goes on in another file; only of our recorder.
+    /// Size at which the recorder continues in another file; only for our recorder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub split_bytes: Option<u64>,
 }
 
 impl ProcessEntry {
-    /// Our own service for this entry, if it is one that the role knows.
-    fn find_service(&self) -> Option<&'static str> {
-        let services = self.role.own_services();
-        match &self.service {
-            None => services.first().copied(),
-            Some(name) => services.iter().copied().find(|service| service == name),
-        }
-    }
-
-    /// Our own service for this entry.
-    pub fn own_service(&self) -> &'static str {
-        self.find_service().unwrap_or(self.role.name())
-    }
-
-    /// Whether the same request gives the same drive: ours do, a user's program only if it says so.
+    /// Whether the same request gives the same drive: for our services it does, for a user's program only if its entry
+    /// says so.
     pub fn is_deterministic(&self) -> bool {
         self.deterministic.unwrap_or(self.command.is_none())
     }
@@ -128,27 +108,22 @@ impl Launch {
             let line = text.as_bytes()[..offset].iter().filter(|byte| **byte == b'\n').count() + 1;
             ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
         })?;
-        for entry in &launch.process {
-            if let (Some(name), None) = (&entry.service, entry.find_service()) {
-                let known = entry.role.own_services().join(", ");
-                let problem =
-                    format!("{name} cannot be the {}; there are {known}", entry.role.name());
-                return Err(ConfigError::new(origin, "process.service", problem));
-            }
-        }
         for role in Role::ALL {
-            let times = launch.process.iter().filter(|entry| entry.role == role).count();
+            let times = launch.process.iter().filter(|entry| entry.role == *role).count();
             if times != 1 && !(times == 0 && role.is_optional()) {
-                let problem = format!("the role {} is filled {times} times, not once", role.name());
+                let problem = format!(
+                    "the role {} is filled {times} times, but must be filled once",
+                    role.name()
+                );
                 return Err(ConfigError::new(origin, "process", problem));
             }
         }
         Ok(launch)
     }
 
-    /// Adds our recorder, where there is none yet; `split_bytes` bounds the size of its files.
+    /// Adds our recorder, if there is none yet; `split_bytes` limits the size of its files.
     ///
-    /// It starts first, and so stops last: it hears everything, from the first sign of life to the outcome.
+    /// It starts first, and so stops last: it receives everything, from the first sign of life to the outcome.
     pub fn record(&mut self, split_bytes: Option<u64>) {
         let of_recorder = |entry: &&mut ProcessEntry| entry.role == Role::Recorder;
         if let Some(entry) = self.process.iter_mut().find(of_recorder) {
@@ -171,7 +146,7 @@ impl Launch {
         self.process.iter().any(|entry| entry.role == Role::Recorder)
     }
 
-    /// Puts another service of ours in a role, where no command fills it and no service is named.
+    /// Puts another service of ours in a role, if no command fills it and no service is named.
     pub fn prefer_service(&mut self, role: Role, service: &str) {
         for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
             if entry.command.is_none() && entry.service.is_none() {
@@ -180,23 +155,14 @@ impl Launch {
         }
     }
 
-    /// Puts another service of ours in a role, whatever fills it.
-    ///
-    /// # Errors
-    /// If there is no such service for the role.
-    pub fn fill(&mut self, role: Role, service: &str) -> Result<(), ConfigError> {
-        if !role.own_services().contains(&service) {
-            let known = role.own_services().join(", ");
-            let problem = format!("no service of ours; there are {known}");
-            return Err(ConfigError::new(service, role.name(), problem));
-        }
+    /// Puts another service of ours in a role, whatever fills it now; `deterministic` says whether the same request
+    /// always gives the same drive with it.
+    pub fn fill(&mut self, role: Role, service: &str, deterministic: bool) {
         for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
             entry.command = None;
             entry.service = Some(service.to_owned());
-            // Only our simulator repeats itself.
-            entry.deterministic = (service != "simulator").then_some(false);
+            entry.deterministic = Some(deterministic);
         }
-        Ok(())
     }
 
     /// Puts a command in a role, from `ROLE=COMMAND`.
@@ -209,7 +175,8 @@ impl Launch {
             return Err(ConfigError::new(origin, "", "has no '='; write --replace ROLE='COMMAND'"));
         };
         let Some(role) = Role::parse(role.trim()) else {
-            let names = Role::ALL.map(Role::name).join(", ");
+            let names: Vec<&str> = Role::ALL.iter().map(|role| role.name()).collect();
+            let names = names.join(", ");
             return Err(ConfigError::new(origin, "", format!("unknown role; there are {names}")));
         };
         if command.trim().is_empty() {
@@ -244,7 +211,13 @@ mod tests {
     }
 
     #[test]
-    fn the_preset_fills_each_role_with_our_own_service() {
+    fn the_preset_fills_each_role_once() {
+        for role in Role::ALL {
+            let text =
+                toml::to_string(&std::collections::BTreeMap::from([("role", role)])).unwrap();
+            assert_eq!(text.trim(), format!("role = {:?}", role.name()));
+            assert_eq!(Role::parse(role.name()), Some(*role));
+        }
         let launch = Launch::train();
         assert_eq!(launch.process.len(), Role::ALL.len() - 1);
         assert!(launch.process.iter().all(ProcessEntry::is_deterministic));

@@ -1,21 +1,56 @@
-//! Layers of a configuration, stacked, each value with the place it came from.
+//! Layers of a configuration in a stack, each value with the place where it was set.
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::path::Path;
 
 use toml::{Table, Value};
 use toml_edit::TableLike;
 
-use crate::presets::{maneuver_names, nearest, preset};
+use crate::presets::{hint, maneuver_names, names_in, nearest, preset};
 use crate::{ConfigError, RunConfig, Vehicle, tuned, validate};
 
-/// A stack of layers, the topmost value of each key with its origin.
+/// A stack of layers: the topmost value of each key, with its origin.
 #[derive(Debug, Clone)]
 pub struct Layers {
     values: Table,
-    /// Where a key was last set, by its dotted path; presets where absent.
+    /// Where a key was last set, by its dotted path; if absent, in the presets.
     origins: BTreeMap<String, String>,
     base: String,
+    /// The manoeuvre's own grids, by the name of the law.
+    grids: Table,
+}
+
+/// A part of the configuration that a name selects: its values come from a preset with that name, or from a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Part {
+    Vehicle,
+    Law,
+    Tuner,
+    Objective,
+}
+
+impl Part {
+    const ALL: [Self; 4] = [Self::Vehicle, Self::Law, Self::Tuner, Self::Objective];
+
+    /// The key whose value is the name.
+    fn selected_by(self) -> &'static str {
+        match self {
+            Self::Vehicle => "vehicle_preset",
+            Self::Law => "law_preset",
+            Self::Tuner => "learning.tuner",
+            Self::Objective => "objective.name",
+        }
+    }
+
+    /// The folder of its presets, and the key below which their values are.
+    fn place(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Vehicle => ("vehicles", "vehicle"),
+            Self::Law => ("laws", "law"),
+            Self::Tuner => ("tuners", "tuner"),
+            Self::Objective => ("objectives", "objective"),
+        }
+    }
 }
 
 impl Layers {
@@ -28,11 +63,8 @@ impl Layers {
             return Self::embedded(name);
         }
         let known: Vec<_> = maneuver_names().collect();
-        let hint = match nearest(name, known.iter().copied()) {
-            Some(near) => format!("did you mean {near}?"),
-            None => format!("there are {}", known.join(", ")),
-        };
-        Err(ConfigError::new("maneuver", "", format!("unknown: {name}; {hint}")))
+        let problem = format!("unknown: {name}; {}", hint(name, &known));
+        Err(ConfigError::new("maneuver", "", problem))
     }
 
     /// The embedded layers of a manoeuvre that is known to exist.
@@ -41,35 +73,63 @@ impl Layers {
         let readings = preset("readings.toml").expect("embedded");
         let mut values = parse_table(readings.path, readings.text)?;
         merge(&mut values, parse_table(maneuver.path, maneuver.text)?);
+        let grids = match values.remove("grids") {
+            Some(Value::Table(grids)) => grids,
+            _ => Table::new(),
+        };
         let base = format!("config/{}", maneuver.path);
-        let mut layers = Self { values, origins: BTreeMap::new(), base };
-        let vehicle = layers.values["vehicle_preset"].as_str().unwrap_or_default().to_owned();
-        layers.load_vehicle(&vehicle, "config")?;
+        let mut layers = Self { values, origins: BTreeMap::new(), base, grids };
+        for part in Part::ALL {
+            let name = layers.text(part.selected_by()).unwrap_or_default();
+            layers.load(part, &name, "config")?;
+        }
         Ok(layers)
     }
 
-    /// Lays a user's document on top. `origin` names it in errors, usually its path.
+    /// Puts a user's document on top. `origin` names it in errors; usually it is its path.
     ///
     /// # Errors
-    /// At the first key that no preset has, value of another type, or syntax error, with its line.
+    /// At the first key that no preset has, value of another type, or syntax error; the error has its line.
     pub fn add_document(&mut self, origin: &str, text: &str) -> Result<(), ConfigError> {
         let document = toml_edit::Document::parse(text).map_err(|error| {
             let line = error.span().map_or(1, |span| line_of(text, span.start));
             ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
         })?;
         let mut values = parse_table(origin, text)?;
-        // A vehicle's own file has no such key, and must not name another.
-        let names_vehicle = self.values.contains_key("vehicle_preset");
-        if let Some(Value::String(vehicle)) = values.get("vehicle_preset").cloned()
-            && names_vehicle
-        {
-            self.load_vehicle(&vehicle, origin)?;
+        // The own file of a vehicle or a law has none of these keys, and must not name another file.
+        for part in Part::ALL {
+            let named = find(&values, part.selected_by());
+            // A resolved configuration contains the law itself, whichever file it came from.
+            let named = named
+                .and(if part == Part::Law { find(&values, "law.name") } else { None })
+                .or(named);
+            if let Some(Value::String(name)) = named
+                && self.text(part.selected_by()).is_some()
+            {
+                let place = key_place(&document, part.selected_by()).unwrap_or_default();
+                self.load(part, &name.clone(), &format!("{origin}:{}", line_of(text, place)))?;
+            }
         }
         let mut leaves = Vec::new();
         let place = |span: Option<std::ops::Range<usize>>| {
             format!("{origin}:{}", span.map_or(1, |span| line_of(text, span.start)))
         };
-        walk(document.as_table(), &self.values, &self.values, "", &mut leaves, &place)?;
+        let mut table = document.as_table().clone();
+        // The objective may be given by its name alone, as in objective = "path".
+        if let Some(Value::String(name)) = values.get("objective").cloned() {
+            let span = key_place(&document, "objective").map(|start| start..start);
+            self.select(Part::Objective, &place(span), &name)?;
+            table.remove("objective");
+        }
+        // A manoeuvre's file may hold grids of several laws; the present law's counts.
+        if let (Some(Value::Table(grids)), true) =
+            (values.get("grids").cloned(), self.values.contains_key("law"))
+        {
+            merge(&mut self.grids, grids);
+            self.load_grid();
+            table.remove("grids");
+        }
+        walk(&table, &self.values, &self.values, "", &mut leaves, &place)?;
         for (key, origin) in leaves {
             let value = take(&mut values, &key).expect("the same document, parsed twice");
             if tuned::is_map(&self.values, &key) {
@@ -96,14 +156,18 @@ impl Layers {
         let (key, text) = (key.trim(), text.trim());
         let value = match parse_table(&origin, &format!("value = {text}")) {
             Ok(mut table) if table.len() == 1 => table.remove("value").expect("just written"),
-            // A bare word or a path needs no quotes; anything else is meant as TOML.
+            // A bare word or a path needs no quotes; everything else is TOML.
             Err(error) if text.contains(['[', ']', '{', '}', '"', '\'', '=']) => {
                 return Err(ConfigError::new(origin, key, error.problem));
             }
             _ => Value::String(text.to_owned()),
         };
-        if let ("vehicle_preset", Value::String(vehicle)) = (key, &value) {
-            self.load_vehicle(vehicle, &origin)?;
+        // The objective may be given by its name alone, as in objective=path.
+        let key = if key == "objective" && value.is_str() { "objective.name" } else { key };
+        if let (Some(part), Value::String(name)) =
+            (Part::ALL.into_iter().find(|it| it.selected_by() == key), &value)
+        {
+            self.load(part, name, &origin)?;
         }
         if let Value::Table(_) = value {
             let table = format!("{key} = {text}");
@@ -128,10 +192,39 @@ impl Layers {
     /// Takes the vehicle from a preset or a file, on behalf of a command line option named `origin`.
     ///
     /// # Errors
-    /// If it is neither, or the file holds what a vehicle has not.
+    /// If it is neither, or the file has a key that a vehicle does not have.
     pub fn set_vehicle(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
-        self.load_vehicle(name, origin)?;
-        self.put(origin, "vehicle_preset", name)
+        self.select(Part::Vehicle, origin, name)
+    }
+
+    /// Takes the control law from a preset or a file, on behalf of a command line option named `origin`. The grid is then
+    /// that law's.
+    ///
+    /// # Errors
+    /// If it is neither, or the file has a key that a law does not have.
+    pub fn set_law(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
+        self.select(Part::Law, origin, name)
+    }
+
+    /// Takes the tuner from a preset, on behalf of a command line option named `origin`.
+    ///
+    /// # Errors
+    /// If there is none with this name.
+    pub fn set_tuner(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
+        self.select(Part::Tuner, origin, name)
+    }
+
+    /// Takes the objective from a preset, on behalf of a command line option named `origin`.
+    ///
+    /// # Errors
+    /// If there is none with this name.
+    pub fn set_objective(&mut self, origin: &str, name: &str) -> Result<(), ConfigError> {
+        self.select(Part::Objective, origin, name)
+    }
+
+    fn select(&mut self, part: Part, origin: &str, name: &str) -> Result<(), ConfigError> {
+        self.load(part, name, origin)?;
+        self.put(origin, part.selected_by(), name)
     }
 
     /// Parses the stack into a valid configuration.
@@ -139,13 +232,15 @@ impl Layers {
     /// # Errors
     /// At the first value that is out of range or does not fit the others.
     pub fn resolve(self) -> Result<RunConfig, ConfigError> {
-        let Self { values, origins, base } = self;
+        let Self { values, origins, base, .. } = self;
         let origin_of = |key: &str| {
-            // The key itself, else a part of it, else what it is a part of.
-            if key.starts_with("vehicle.gains")
-                && let Some(origin) = origins.get(key)
-            {
-                return origin.clone();
+            // The origin of the key itself, or of a part of it, or of a key that contains it.
+            if key.starts_with("vehicle.gains") {
+                // Files of earlier versions have the parameters without a separate table.
+                let flat = key.replace(".parameters.", ".");
+                if let Some(origin) = origins.get(key).or_else(|| origins.get(&flat)) {
+                    return origin.clone();
+                }
             }
             let below = format!("{key}.");
             if let Some((_, origin)) = origins.iter().find(|(set, _)| set.starts_with(&below)) {
@@ -172,7 +267,7 @@ impl Layers {
         Ok(config)
     }
 
-    /// What a vehicle's own file comes to, on top of the default vehicle.
+    /// The vehicle that results from a file on top of the default vehicle.
     ///
     /// # Errors
     /// As [`Layers::set_vehicle`] and [`Layers::resolve`].
@@ -182,7 +277,7 @@ impl Layers {
         Ok(layers.resolve()?.vehicle)
     }
 
-    /// The value of a key, where it is a number.
+    /// The value of a key, if it is a number.
     pub(crate) fn number(&self, key: &str) -> Option<f64> {
         let (head, rest) = key.split_once('.')?;
         match self.values.get(head)?.get(rest)? {
@@ -192,9 +287,39 @@ impl Layers {
         }
     }
 
-    /// Remembers where a part of a value, such as `path.points[3]`, came from.
+    /// Notes where a part of a value, such as `path.points[3]`, was set.
     pub(crate) fn note_origin(&mut self, part: String, origin: String) {
         self.origins.insert(part, origin);
+    }
+
+    /// The value of a key, if it is a text.
+    pub fn text(&self, key: &str) -> Option<String> {
+        find(&self.values, key)?.as_str().map(str::to_owned)
+    }
+
+    /// Loads the part with this name: a preset, or for vehicles and laws a file.
+    fn load(&mut self, part: Part, name: &str, origin: &str) -> Result<(), ConfigError> {
+        match part {
+            Part::Vehicle => self.load_vehicle(name, origin),
+            Part::Law => self.load_law(name, origin),
+            Part::Tuner | Part::Objective => {
+                let (folder, below) = part.place();
+                let Some(preset) = preset(&format!("{folder}/{name}.toml")) else {
+                    let known: Vec<&str> = names_in(folder).collect();
+                    let problem = format!("is {name:?}, which is unknown; {}", hint(name, &known));
+                    return Err(ConfigError::new(origin, part.selected_by(), problem));
+                };
+                let mut values = parse_table(preset.path, preset.text)?;
+                // Settings of another tuner or objective have no meaning for this one.
+                values.entry("settings").or_insert_with(|| Value::Table(Table::new()));
+                let table = self.values.entry(below).or_insert_with(|| Value::Table(Table::new()));
+                if let Value::Table(table) = table {
+                    table.extend(values);
+                }
+                self.forget_origins(&format!("{below}.settings"));
+                Ok(())
+            }
+        }
     }
 
     fn load_vehicle(&mut self, name: &str, origin: &str) -> Result<(), ConfigError> {
@@ -205,23 +330,85 @@ impl Layers {
             self.values.insert("vehicle".to_owned(), Value::Table(vehicle));
             return Ok(());
         }
-        let text = fs::read_to_string(name).map_err(|error| {
-            let problem = format!("{name:?} is neither a vehicle preset nor a file: {error}");
-            ConfigError::new(origin, "vehicle_preset", problem)
-        })?;
-        // The file's keys stand below `vehicle`, so that they are checked like any other layer's.
-        self.values.insert("vehicle".to_owned(), Value::Table(vehicle));
+        let text = read_part(Part::Vehicle, name, origin)?;
+        self.load_file(Part::Vehicle, vehicle, name, &text)
+    }
+
+    fn load_law(&mut self, name: &str, origin: &str) -> Result<(), ConfigError> {
+        let embedded = |name: &str| preset(&format!("laws/{name}.toml"));
+        if let Some(preset) = embedded(name) {
+            let mut law = parse_table(preset.path, preset.text)?;
+            law.entry("settings").or_insert_with(|| Value::Table(Table::new()));
+            self.values.insert("law".to_owned(), Value::Table(law));
+        } else {
+            let text = read_part(Part::Law, name, origin)?;
+            let file = parse_table(name, &text)?;
+            let Some(code) = file.get("name").and_then(Value::as_str) else {
+                let problem = "is missing; name the law whose code it is, as in name = \"stanley\"";
+                return Err(ConfigError::new(name, "name", problem));
+            };
+            let Some(preset) = embedded(code) else {
+                let known: Vec<&str> = names_in("laws").collect();
+                let problem = format!("is {code:?}, which is unknown; {}", hint(code, &known));
+                return Err(ConfigError::new(name, "name", problem));
+            };
+            let mut law = parse_table(preset.path, preset.text)?;
+            law.entry("settings").or_insert_with(|| Value::Table(Table::new()));
+            self.load_file(Part::Law, law, name, &text)?;
+        }
+        self.load_grid();
+        Ok(())
+    }
+
+    /// Loads the grid of the law: the manoeuvre's axes if it has any for this law, otherwise each parameter's own axis.
+    fn load_grid(&mut self) {
+        let law = &self.values["law"];
+        let parameters = law.get("parameters").and_then(Value::as_array).into_iter().flatten();
+        let mut grid = Table::new();
+        for parameter in parameters {
+            if let (Some(key), Some(axis)) =
+                (parameter.get("key").and_then(Value::as_str), parameter.get("grid"))
+            {
+                grid.insert(key.to_owned(), axis.clone());
+            }
+        }
+        let name = law.get("name").and_then(Value::as_str).unwrap_or_default();
+        if let Some(Value::Table(of_maneuver)) = self.grids.get(name) {
+            merge(&mut grid, of_maneuver.clone());
+        }
+        self.values.insert("grid".to_owned(), Value::Table(grid));
+        self.forget_origins("grid");
+    }
+
+    /// Puts a user's file for a part on top of the preset below it.
+    fn load_file(
+        &mut self,
+        part: Part,
+        preset: Table,
+        name: &str,
+        text: &str,
+    ) -> Result<(), ConfigError> {
+        let (_, key) = part.place();
+        // The file's keys are put below the part's key, so that they are checked like those of any other layer.
         let mut below = Self {
-            values: self.values["vehicle"].as_table().expect("just set").clone(),
+            values: preset,
             origins: BTreeMap::new(),
             base: name.to_owned(),
+            grids: Table::new(),
         };
-        below.add_document(name, &text)?;
-        self.values.insert("vehicle".to_owned(), Value::Table(below.values));
-        for (key, origin) in below.origins {
-            self.origins.insert(format!("vehicle.{key}"), origin);
+        below.add_document(name, text)?;
+        self.values.insert(key.to_owned(), Value::Table(below.values));
+        self.forget_origins(key);
+        for (below, origin) in below.origins {
+            self.origins.insert(format!("{key}.{below}"), origin);
         }
         Ok(())
+    }
+
+    /// Forgets where the values at and below a key were set, because they are gone.
+    fn forget_origins(&mut self, key: &str) {
+        let below = format!("{key}.");
+        self.origins.retain(|set, _| set != key && !set.starts_with(&below));
     }
 
     fn replace(&mut self, key: &str, value: Value, origin: String) -> Result<(), ConfigError> {
@@ -235,7 +422,7 @@ impl Layers {
             return Err(ConfigError::new(origin, key, problem));
         }
         *slot = value;
-        // The parts of the old value are gone, and so is where they came from.
+        // The parts of the old value are gone, so forget where they were set.
         let part = format!("{key}[");
         self.origins.retain(|set, _| !set.starts_with(&part));
         self.origins.insert(key.to_owned(), origin);
@@ -248,6 +435,30 @@ fn parse_table(origin: &str, text: &str) -> Result<Table, ConfigError> {
         let line = error.span().map_or(1, |span| line_of(text, span.start));
         ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
     })
+}
+
+fn read_part(part: Part, name: &str, origin: &str) -> Result<String, ConfigError> {
+    crate::files::read_small(Path::new(name)).map_err(|error| {
+        let (folder, what) = part.place();
+        let known: Vec<&str> = names_in(folder).collect();
+        let known = known.join(", ");
+        let problem =
+            format!("{name:?} is neither a {what} preset nor a file: {error}; presets are {known}");
+        ConfigError::new(origin, part.selected_by(), problem)
+    })
+}
+
+/// The place of a dotted key in a document, in bytes.
+fn key_place(document: &toml_edit::Document<impl AsRef<str>>, key: &str) -> Option<usize> {
+    let mut table: &dyn TableLike = document.as_table();
+    let mut names = key.split('.').peekable();
+    while let Some(name) = names.next() {
+        if names.peek().is_none() {
+            return table.key(name).and_then(toml_edit::Key::span).map(|span| span.start);
+        }
+        table = table.get(name)?.as_table_like()?;
+    }
+    None
 }
 
 fn line_of(text: &str, offset: usize) -> usize {
@@ -265,7 +476,7 @@ fn merge(below: &mut Table, above: Table) {
     }
 }
 
-/// Collects the leaves of a user's table with their origins, checking that each stands in `known` too.
+/// Collects the leaves of a user's table with their origins, and checks that `known` has each of them, too.
 fn walk(
     table: &dyn TableLike,
     root: &Table,
@@ -292,6 +503,13 @@ fn walk(
     Ok(())
 }
 
+fn find<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+    match key.split_once('.') {
+        None => table.get(key),
+        Some((head, rest)) => find(table.get(head)?.as_table()?, rest),
+    }
+}
+
 fn find_mut<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {
     match key.split_once('.') {
         None => table.get_mut(key),
@@ -306,7 +524,7 @@ fn take(table: &mut Table, key: &str) -> Option<Value> {
     }
 }
 
-/// Every dotted key of a table, leaves only.
+/// Collects every dotted key of a table that is a leaf.
 fn keys(table: &Table, above: &str, all: &mut Vec<String>) {
     for (name, value) in table {
         let key = if above.is_empty() { name.clone() } else { format!("{above}.{name}") };
@@ -339,7 +557,7 @@ fn check_kind(old: &Value, new: &Value, key: &str, origin: &str) -> Result<(), C
     if fits {
         return Ok(());
     }
-    let problem = format!("must be {}, and is {}", with_article(old), with_article(new));
+    let problem = format!("must be {}, but is {}", with_article(old), with_article(new));
     Err(ConfigError::new(origin, key, problem))
 }
 
@@ -433,6 +651,7 @@ mod tests {
         check("[learning]\ntuner = 'sarsa'", &["my.toml:2", "learning.tuner", "sarsa"]);
         check("[grid]\nkv = { min = 3.0, max = 1.0 }", &["my.toml:2", "grid.kv", "reversed"]);
         check("[grid.kv]\nstep = 0.0", &["my.toml:2", "grid.kv.step"]);
+        check("objective = 'paths'", &["my.toml:1", "objective.name", "mean path"]);
         check("maneuver = 'other'", &["my.toml:1", "maneuver", "cannot be changed"]);
         check("[path]\npoints = [[0, 0], [1, 0]]", &["my.toml:2", "path.points", "pieces"]);
         check("[path]\npieces = []", &["my.toml:2", "path.pieces"]);
@@ -447,6 +666,10 @@ mod tests {
             &["my.toml:3", "vehicle.cornering_stiffness_rear_npr", "unstable from 5.4 m/s"],
         );
         check("[noise]\nposition_sd_m = nan", &["my.toml:2", "noise.position_sd_m", "NaN"]);
+        check(
+            "objective = 'weighted'\n[ranking]\nmax_ticks = 1000",
+            &["objective.settings.mse_scale", "375000 ticks", "give a scale"],
+        );
     }
 
     #[test]
@@ -454,19 +677,34 @@ mod tests {
         let mut layers = Layers::maneuver("lane_change").unwrap();
         layers.set("learning.episodes = 3").unwrap();
         layers.set("learning.tuner=q").unwrap();
+        layers.set("objective=path").unwrap();
         layers.set("grid.kv={min=0.1,max=0.1,step=1.0}").unwrap();
         assert!(message(layers.set("learning.episodes")).contains("no '='"));
         assert!(message(layers.set("nothing.here=1")).contains("unknown key"));
         let config = layers.resolve().unwrap();
         assert_eq!(config.learning.episodes, 3);
-        assert_eq!(config.learning.tuner, crate::Tuner::Q);
-        assert_eq!(config.grid.len(), 125);
+        assert_eq!(config.learning.tuner, "q");
+        assert_eq!(config.objective.name, "path");
+        assert_eq!(config.grid().len(), 125);
+    }
+
+    #[test]
+    fn a_manoeuvre_s_own_file_is_a_layer_that_changes_nothing() {
+        for name in maneuver_names() {
+            let file = preset(&format!("maneuvers/{name}.toml")).unwrap();
+            let mut layers = Layers::maneuver(name).unwrap();
+            layers.add_document("mine.toml", file.text).unwrap();
+            assert_eq!(
+                layers.resolve().unwrap(),
+                Layers::maneuver(name).unwrap().resolve().unwrap()
+            );
+        }
     }
 
     #[test]
     fn an_unknown_maneuver_names_the_nearest() {
         assert!(message(Layers::maneuver("lanechange")).contains("did you mean lane_change?"));
         assert!(message(Layers::maneuver("xyz")).contains("lane_change, roundabout"));
-        assert!(message(Layers::maneuver("path")).contains("there are lane_change"));
+        assert!(message(Layers::maneuver("path")).contains("there are circuit"));
     }
 }

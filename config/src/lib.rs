@@ -1,19 +1,20 @@
-//! What a run is made of: the TOML presets in this folder, their schema, and clear errors for whoever
-//! edits them.
+//! The configuration of a run: the TOML presets in this folder, their schema, and clear errors for users who
+//! edit them.
 //!
 //! A run's configuration is a stack of layers, each a TOML document with the same keys: `readings.toml`,
 //! the manoeuvre, the vehicle (under `vehicle.`), a user's file, single keys. [`Layers`] stacks them and
-//! remembers where each value came from; [`Layers::resolve`] parses the result once into a [`RunConfig`],
-//! which is valid by construction: behind it nothing checks again.
+//! remembers where each value was set; [`Layers::resolve`] parses the result once into a [`RunConfig`],
+//! which is valid by construction: nothing needs to check it again.
 //!
 //! SI units and radians throughout; the suffix of a key is its unit.
 
 mod error;
+mod files;
 mod grid;
 pub mod launch;
+mod law;
 mod layers;
 mod own_path;
-mod parameters;
 mod path_file;
 mod points;
 mod presets;
@@ -26,14 +27,18 @@ mod tuned;
 mod validate;
 
 pub use error::ConfigError;
-pub use grid::{Axis, Grid, GridPosition};
+pub use files::read_small;
+pub use grid::{Axes, Axis, Grid, GridAxis, GridPosition};
+pub use law::{
+    LawConfig, MAX_PARAMETERS, NamedParameters, ParameterConfig, Parameters, Scale, Settings,
+    paper_law, preset as law_preset,
+};
 pub use layers::Layers;
-pub use presets::{Preset, maneuver_names, nearest, presets};
+pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};
 pub use schema::*;
 pub use sweep::{SweepKind, SweepPlan};
 pub use tuned::{PastGains, Provenance, Replacement, TunedGains};
-pub use validate::check_gains;
 
 /// The largest fleet that one message carries.
 pub const MAX_FLEET: usize = validate::MAX_FLEET as usize;

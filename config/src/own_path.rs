@@ -1,6 +1,5 @@
-//! A path of the user's own, as a layer: its file, and the zones' file beside it.
+//! A path of the user's own, as a layer: its file, and the zones' file next to it.
 
-use std::fs;
 use std::io::Read;
 use std::path::Path;
 
@@ -12,12 +11,13 @@ use crate::presets::OWN_PATH;
 use crate::resample::{Resampled, resample};
 use crate::{ConfigError, Layers, ZoneConfig, path_file};
 
-/// The largest file that is read: a million rows of many columns, so that a wrong file is not read for minutes.
+/// The size of the largest file that is read: enough for a million rows of many columns, but a wrong file is not read
+/// for minutes.
 const MAX_FILE_BYTES: u64 = 64 << 20;
-/// Time that the vehicle has to reach the end once the reference is there.
+/// Time that the vehicle has to reach the end after the reference has.
 const AFTER_END_S: f64 = 5.0;
 
-/// The zones' file: `slalom.toml` beside `slalom.csv`.
+/// The zones' file: `slalom.toml` next to `slalom.csv`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ZonesFile {
@@ -25,7 +25,7 @@ struct ZonesFile {
 }
 
 impl Layers {
-    /// The embedded layers below a path of the user's own; [`Layers::add_path`] lays it on top.
+    /// The embedded layers below a path of the user's own; [`Layers::add_path`] puts the path on top.
     pub fn own_path() -> Self {
         Self::embedded(OWN_PATH).expect("the preset is checked by a test")
     }
@@ -33,7 +33,7 @@ impl Layers {
     /// The embedded layers below a document that names its manoeuvre, as a resolved configuration does.
     ///
     /// # Errors
-    /// If it names none that is known.
+    /// If it names none, or one that is unknown.
     pub fn of_document(text: &str) -> Result<Self, ConfigError> {
         let name = text
             .parse::<Table>()
@@ -49,11 +49,11 @@ impl Layers {
         }
     }
 
-    /// Lays the path of a file on top: points, speeds, start, zones (and no rows of the paper's), and a loop time that reaches its end at
-    /// the speeds that the layers hold by now.
+    /// Puts the path of a file on top: points, speeds, start, zones (and no rows of the paper's tables), and a loop
+    /// time that is enough to reach its end at the speeds that the layers hold so far.
     ///
-    /// The file is a CSV with the columns `x_m`, `y_m` and perhaps `v_mps`, or a raceline of TUM's form. The
-    /// zones are those of the TOML file of the same name beside it, if there is one, else the path is a
+    /// The file is a CSV with the columns `x_m`, `y_m` and optionally `v_mps`, or a raceline of TUM's form. The
+    /// zones are those of the TOML file of the same name next to it, if there is one; otherwise the path is a
     /// single zone named `path`.
     ///
     /// # Errors
@@ -88,8 +88,8 @@ impl Layers {
         self.add_zones(file, path.length_m)
     }
 
-    /// The time in which the reference reaches the end of the path, and some more, in whole seconds; none
-    /// where the layers hold no speed to tell it by, which resolving them reports.
+    /// The time in which the reference reaches the end of the path, and some more, in whole seconds; `None`
+    /// if the layers hold no speed to compute it from, which is reported when they are resolved.
     fn loop_time_s(&self, path: &Resampled) -> Option<f64> {
         let at_speed_s = if path.speeds_mps.is_empty() {
             path.length_m
@@ -98,8 +98,8 @@ impl Layers {
             path.time_s
         };
         let ramp_s = self.number("reference.ramp_s").filter(|ramp_s| *ramp_s >= 0.0)?;
-        // In the ramp the reference is as far as it would be at speed after t²/(2·ramp), behind it after
-        // t − ramp/2.
+        // During the ramp the reference is as far as it would be at full speed after t²/(2·ramp); after the ramp, as
+        // far as after t − ramp/2.
         let end_s = if at_speed_s < 0.5 * ramp_s {
             (2.0 * ramp_s * at_speed_s).sqrt()
         } else {
@@ -108,7 +108,7 @@ impl Layers {
         Some((end_s + AFTER_END_S).ceil())
     }
 
-    /// Sets the zones from the file beside the path's, or the one zone where there is none.
+    /// Sets the zones from the file next to the path's file, or the one zone if there is none.
     fn add_zones(&mut self, path_file: &Path, length_m: f64) -> Result<(), ConfigError> {
         let file = path_file.with_extension("toml");
         if file == path_file || !file.exists() {
@@ -116,7 +116,7 @@ impl Layers {
             return self.put(&path_file.display().to_string(), "path.zones", vec![zone]);
         }
         let origin = file.display().to_string();
-        let bytes = read(&file, "it stands beside the path's file; mend or remove it")?;
+        let bytes = read(&file, "it is next to the path's file; correct or remove it")?;
         let at = |offset: usize| {
             let offset = offset.min(bytes.len());
             let line = bytes[..offset].iter().filter(|byte| **byte == b'\n').count() + 1;
@@ -128,7 +128,7 @@ impl Layers {
         })?;
         let zones: ZonesFile = toml::from_str(text).map_err(|error| {
             let problem = format!(
-                "{}; beside a path's file stands [[zones]] with name and from_m, and nothing else",
+                "{}; the file next to a path's file may hold only [[zones]] with name and from_m",
                 error.message()
             );
             ConfigError::new(at(error.span().map_or(0, |span| span.start)), "", problem)
@@ -137,7 +137,7 @@ impl Layers {
             let from_m = zone.get_ref().from_m;
             if from_m >= length_m {
                 let key = format!("path.zones[{index}].from_m");
-                let problem = format!("is {from_m}, and the path ends at {length_m:.2} m");
+                let problem = format!("is {from_m}, but the path ends at {length_m:.2} m");
                 return Err(ConfigError::new(at(zone.span().start), key, problem));
             }
         }
@@ -161,7 +161,7 @@ fn zone_value(name: &str, from_m: f64) -> Value {
     Value::Table(zone)
 }
 
-/// Reads a file that is small enough to be one of ours.
+/// Reads a file, unless it is too large to be a path or its zones.
 fn read(file: &Path, hint: &str) -> Result<Vec<u8>, ConfigError> {
     let origin = file.display().to_string();
     let unreadable = |error: std::io::Error| {
@@ -169,7 +169,7 @@ fn read(file: &Path, hint: &str) -> Result<Vec<u8>, ConfigError> {
         ConfigError::new(&origin, "", problem)
     };
     let mut bytes = Vec::new();
-    let opened = fs::File::open(file).map_err(unreadable)?;
+    let opened = crate::files::open_regular(file).map_err(unreadable)?;
     opened.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
     if bytes.len() as u64 > MAX_FILE_BYTES {
         let problem = format!("holds more than {} MiB; thin the points out", MAX_FILE_BYTES >> 20);
@@ -183,6 +183,7 @@ mod tests {
     use super::*;
     use crate::RunConfig;
     use proptest::prelude::*;
+    use std::fs;
     use std::path::PathBuf;
 
     fn own_path(file: &Path) -> Result<Layers, ConfigError> {
@@ -227,7 +228,7 @@ mod tests {
         assert_eq!((config.path.start.x_m, config.path.start.y_m), (1.0, 2.0));
         assert_eq!(config.path.start.yaw_rad, std::f64::consts::FRAC_PI_2);
         assert_eq!(config.path.zones, [ZoneConfig { name: "path".to_owned(), from_m: 0.0 }]);
-        // 10 m at 1.5 m/s take 6.67 s, the ramp 0.5 s more, and 5 s behind the end.
+        // 10 m at 1.5 m/s take 6.67 s, the ramp takes 0.5 s more, and there are 5 s after the end.
         assert_eq!(config.drive.loop_time_s, 13.0);
         let faster = resolve("x_m,y_m,v_mps\n0,0,2\n5,0,4\n10,0,4\n", None).unwrap();
         assert_eq!(faster.drive.loop_time_s, 9.0);
@@ -246,7 +247,7 @@ mod tests {
         let mut slow = Layers::maneuver("lane_change").unwrap();
         slow.set("reference.speed_mps=0.001").unwrap();
         slow.add_path(&file).unwrap();
-        // Longer than any drive may last: said, rather than cut short.
+        // Longer than any drive may last: an error, not a shortened drive.
         assert!(slow.resolve().unwrap_err().to_string().contains("drive.loop_time_s"));
         let mut none = Layers::maneuver("lane_change").unwrap();
         none.set("reference.speed_mps=0.0").unwrap();
@@ -273,7 +274,7 @@ mod tests {
         assert!(message.contains("slalom.csv:") && message.contains("path.points["), "{message}");
         let line: usize = message.split("slalom.csv:").nth(1).unwrap()[..1].parse().unwrap();
         assert!((4..=5).contains(&line), "{message}");
-        // What lies on top of the path is to blame for itself.
+        // An error in a layer on top of the path names that layer.
         let (_folder, file) = folder(STRAIGHT, None);
         let mut layers = own_path(&file).unwrap();
         layers.add_document("my.toml", "[path]\npoints = [[1, 2], [1, 2]]").unwrap();
@@ -281,7 +282,9 @@ mod tests {
         assert!(message.starts_with("my.toml:2: path.points[1]: "), "{message}");
         let mut layers = own_path(&file).unwrap();
         layers.set("path.pieces=[{kind='straight',length_m=1.0}]").unwrap();
-        assert!(layers.resolve().unwrap_err().to_string().contains("path.points: stands beside"));
+        assert!(
+            layers.resolve().unwrap_err().to_string().contains("path.points: is set together with")
+        );
     }
 
     #[test]

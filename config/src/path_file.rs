@@ -1,13 +1,13 @@
 //! Parses a path's file: rows of points that a user measured, drew or computed.
 //!
-//! Two forms are understood, both with the columns found by name, in any order, others among them:
+//! Two forms are understood. In both, columns are found by name, in any order; other columns are ignored:
 //!
-//! - comma-separated values, whose header names `x_m,y_m` and perhaps `v_mps`;
+//! - comma-separated values, whose header names `x_m,y_m` and optionally `v_mps`;
 //! - the raceline form of TUM and F1TENTH: `;` between the fields, the header in a comment such as
-//!   `# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`. Its heading and curvature are not read: where
-//!   they count from differs from tool to tool, and the points tell them.
+//!   `# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`. Its heading and curvature are not read: their
+//!   conventions differ from tool to tool, and they follow from the points.
 //!
-//! Lines that begin with `#` are comments. Whatever is wrong is told in one line that names file and line.
+//! Lines that begin with `#` are comments. Each mistake is reported in one line that names the file and its line.
 
 use crate::ConfigError;
 
@@ -15,23 +15,23 @@ use crate::ConfigError;
 const SHORTEST_M: f64 = 1.0;
 /// The longest path: a drive's time is limited to an hour.
 const LONGEST_M: f64 = 1e5;
-/// Points nearer than this are the same one: far below what a file's decimals can mean.
+/// Points nearer to each other than this are the same: far below the precision of a file's decimals.
 const SAME_POINT_M: f64 = 1e-6;
-/// A step is a gap where it is this many times the median step, …
+/// A step is a gap if it is this many times the median step, …
 const GAP_FACTOR: f64 = 10.0;
-/// … and longer than this: dense points may be uneven without anything missing.
+/// … and longer than this: dense points may be uneven although none is missing.
 const GAP_M: f64 = 1.0;
 /// The largest coordinate, as of any configuration.
 const FARTHEST_M: f64 = 1e6;
 /// The highest speed, as that of `reference.speed_mps`.
 const FASTEST_MPS: f64 = 50.0;
 
-/// What a path's file says.
+/// The content of a path's file.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PathFile {
-    /// The points; at least 2, no neighbours the same. A closed path's last one is its first.
+    /// The points: at least 2, and no two neighbours the same. The last point of a closed path is its first.
     pub(crate) points: Vec<[f64; 2]>,
-    /// The speed at each point; empty where the file has no such column.
+    /// The speed at each point; empty if the file has no such column.
     pub(crate) speeds_mps: Vec<f64>,
     /// The line of each point.
     pub(crate) lines: Vec<usize>,
@@ -61,13 +61,13 @@ pub(crate) fn parse(origin: &str, bytes: &[u8]) -> Result<PathFile, ConfigError>
         return Err(mistake(
             origin,
             1,
-            "is empty; write a header x_m,y_m[,v_mps], and a point a line",
+            "is empty; write a header x_m,y_m[,v_mps], and one point per line",
         ));
     }
     let (header, header_line, body) = find_header(origin, text)?;
     let rows = rows(origin, &header, body)?;
     let file = match rows.points.len() {
-        0 => return Err(mistake(origin, header_line, "no points follow; write one a line")),
+        0 => return Err(mistake(origin, header_line, "no points follow; write one per line")),
         1 => {
             let problem = "is the only point; a path needs at least 2";
             return Err(mistake(origin, rows.lines[0], problem));
@@ -93,13 +93,13 @@ fn quoted(text: &str) -> String {
 /// Lines with their numbers, without blank ones and comments.
 type Body<'a> = Vec<(usize, &'a str)>;
 
-/// The header, its line, and the rows behind it.
+/// The header, its line, and the rows after it.
 fn find_header<'a>(origin: &str, text: &'a str) -> Result<(Header, usize, Body<'a>), ConfigError> {
     let mut in_comment = None;
     let mut body = Body::new();
     for (line, content) in text.lines().enumerate().map(|(index, line)| (index + 1, line.trim())) {
         match content.strip_prefix('#') {
-            // Only above the points: a header below the first of them would speak of others.
+            // Only above the points: a header below the first of them would belong to other points.
             Some(comment) if in_comment.is_none() && body.is_empty() => {
                 in_comment = [';', ',']
                     .into_iter()
@@ -114,12 +114,14 @@ fn find_header<'a>(origin: &str, text: &'a str) -> Result<(Header, usize, Body<'
     }
     let Some(&(line, first)) = body.first() else {
         let (problem, line) = match in_comment {
-            Some((_, line)) => ("no points follow; write one a line", line),
-            None => ("holds comments alone; write a header x_m,y_m[,v_mps], and a point a line", 1),
+            Some((_, line)) => ("no points follow; write one per line", line),
+            None => {
+                ("holds only comments; write a header x_m,y_m[,v_mps], and one point per line", 1)
+            }
         };
         return Err(mistake(origin, line, problem));
     };
-    // A header without the comment's sign counts before one in a comment.
+    // A header without the comment sign takes precedence over one in a comment.
     for delimiter in [',', ';'] {
         if let Some(header) = read_header(origin, line, first, delimiter)? {
             body.remove(0);
@@ -157,7 +159,7 @@ fn fields(content: &str, delimiter: char) -> impl Iterator<Item = &str> {
     content.split(delimiter).map(|field| field.trim().trim_matches('"').trim())
 }
 
-/// What is wrong with a first line that is no header.
+/// What is wrong with a first line that is not a header.
 fn no_header(first: &str) -> String {
     let holds = |names: &[&str], wanted: &str| names.contains(&wanted);
     for (delimiter, called) in [('\t', "tabs"), ('|', "'|'"), (' ', "spaces")] {
@@ -186,7 +188,8 @@ fn no_header(first: &str) -> String {
 /// Reads the rows below the header.
 fn rows(origin: &str, header: &Header, body: Body<'_>) -> Result<PathFile, ConfigError> {
     let text: String = body.iter().flat_map(|(_, content)| [content, "\n"]).collect();
-    // Every record is one line, so that the n-th one is the body's n-th: quotes and returns mean nothing here.
+    // Every record is one line, so that the n-th record is the body's n-th line: quotes and line breaks have no meaning
+    // here.
     let mut reader = csv::ReaderBuilder::new()
         .delimiter(header.delimiter as u8)
         .has_headers(false)
@@ -200,7 +203,7 @@ fn rows(origin: &str, header: &Header, body: Body<'_>) -> Result<PathFile, Confi
         let record = record.map_err(|error| mistake(origin, *line, error.to_string()))?;
         if record.len() != header.names.len() {
             let problem = format!(
-                "has {} fields, and the header names {} ({}); separate them by {:?}",
+                "has {} fields, but the header names {} ({}); separate them by {:?}",
                 record.len(),
                 header.names.len(),
                 quoted(&header.names.join(", ")),
@@ -218,12 +221,12 @@ fn rows(origin: &str, header: &Header, body: Body<'_>) -> Result<PathFile, Confi
             let Ok(value) = field.parse::<f64>() else {
                 let comma = field.replace(',', ".").parse::<f64>().is_ok();
                 let hint =
-                    if comma { "write the decimals behind a point" } else { "write a number" };
+                    if comma { "write the decimals after a point" } else { "write a number" };
                 return Err(wrong(format!("is {}, which is not a number; {hint}", quoted(field))));
             };
             if !(low..=high).contains(&value) {
                 let value = quoted(field);
-                return Err(wrong(format!("is {value}, and must be a number in [{low}, {high}]")));
+                return Err(wrong(format!("is {value}, but must be a number in [{low}, {high}]")));
             }
             Ok(value)
         };
@@ -236,8 +239,8 @@ fn rows(origin: &str, header: &Header, body: Body<'_>) -> Result<PathFile, Confi
             if speed_mps <= 0.0 || speed_mps > FASTEST_MPS {
                 let name = &header.names[column];
                 let problem = format!(
-                    "{name} is {}, and must lie in (0, {FASTEST_MPS}]; the vehicle only drives forwards, \
-                     and the ramp from rest is its own (reference.ramp_s)",
+                    "{name} is {}, but must lie in (0, {FASTEST_MPS}]; the vehicle drives only forwards, \
+                     and has its own ramp from rest (reference.ramp_s)",
                     quoted(&record[column])
                 );
                 return Err(mistake(origin, *line, problem));
@@ -265,7 +268,7 @@ fn check_steps(origin: &str, mut file: PathFile) -> Result<PathFile, ConfigError
     let gap = steps.iter().position(|step_m| *step_m > (GAP_FACTOR * median_m).max(GAP_M));
     if let Some(index) = gap {
         let problem = format!(
-            "lies {:.2} m behind the point of line {}, where the usual step is {median_m:.2} m; fill the gap \
+            "lies {:.2} m after the point of line {}, but the usual step is {median_m:.2} m; fill the gap \
              with points",
             steps[index], lines[index]
         );
@@ -275,7 +278,7 @@ fn check_steps(origin: &str, mut file: PathFile) -> Result<PathFile, ConfigError
     let last = file.points.len() - 1;
     if !(SHORTEST_M..=LONGEST_M).contains(&length_m) {
         let problem = format!(
-            "ends a path of {length_m:.2} m, which must be {SHORTEST_M} m to {} km long; x_m and y_m are in metres",
+            "ends a path of {length_m:.2} m, but a path must be {SHORTEST_M} m to {} km long; x_m and y_m are in metres",
             LONGEST_M / 1000.0
         );
         return Err(mistake(origin, lines[last], problem));
@@ -306,7 +309,7 @@ mod tests {
         };
         check("", &["p.csv:1:", "empty", "x_m,y_m"]);
         check("\u{feff} \r\n\n", &["p.csv:1:", "empty"]);
-        check("# hello\n", &["comments alone", "x_m,y_m"]);
+        check("# hello\n", &["only comments", "x_m,y_m"]);
         check("x_m,y_m\n", &["p.csv:1:", "no points"]);
         check("# x_m;y_m\n\n# end\n", &["p.csv:1:", "no points"]);
         check("1,2\n3,4", &["p.csv:1:", "without a header", "x_m,y_m"]);

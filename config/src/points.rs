@@ -1,19 +1,19 @@
-//! What must hold for a path through points: their number, their speeds, and curves that the vehicle can drive.
+//! Checks a path through points: their number, their speeds, and that the vehicle can drive its curves.
 
 use crate::validate::{Problem, above, within};
 use crate::{PathConfig, Supervisor, Vehicle};
 
-/// The most points of a path: at a quarter of a metre, 25 km.
+/// The largest number of points of a path: at a quarter of a metre, 25 km.
 pub(crate) const MAX_POINTS: usize = 100_000;
 
-/// How far the start may lie from the first point: far below anything that matters, far above rounding.
+/// How far the start may be from the first point: far below anything that matters, far above rounding.
 const START_TOLERANCE_M: f64 = 1e-3;
 
-/// By how much a curve may be tighter than the vehicle's tightest, which rounded points of just that circle
-/// would otherwise exceed.
+/// By how much a curve may be tighter than the vehicle's tightest circle; otherwise rounded points of just that circle
+/// would be refused.
 const CURVATURE_MARGIN: f64 = 1.005;
 
-/// Finds the first problem of a path's points, as (dotted key, problem); nothing where it is made of pieces.
+/// Finds the first problem of a path's points, as (dotted key, problem); none if the path is made of pieces.
 pub(crate) fn validate(
     path: &PathConfig,
     vehicle: &Vehicle,
@@ -27,8 +27,7 @@ pub(crate) fn validate(
             return fail("path.pieces".to_owned(), problem.to_owned());
         }
         (false, false) => {
-            let problem =
-                "stands beside path.pieces; a path has either, so set the other one to []";
+            let problem = "is set together with path.pieces; a path has only one of them, so set the other to []";
             return fail("path.points".to_owned(), problem.to_owned());
         }
         (false, true) if speeds_mps.is_empty() => return Ok(()),
@@ -40,7 +39,7 @@ pub(crate) fn validate(
     }
     let count = points.len();
     if !(2..=MAX_POINTS).contains(&count) {
-        let problem = format!("holds {count} points, and must hold 2 to {MAX_POINTS}");
+        let problem = format!("holds {count} points, but must hold 2 to {MAX_POINTS}");
         return fail("path.points".to_owned(), problem);
     }
     for (index, [x_m, y_m]) in points.iter().enumerate() {
@@ -48,7 +47,7 @@ pub(crate) fn validate(
         within(&key, *x_m, -1e6, 1e6)?;
         within(&key, *y_m, -1e6, 1e6)?;
         if index > 0 && points[index - 1] == [*x_m, *y_m] {
-            return fail(key, "is the point before it once more; remove one of them".to_owned());
+            return fail(key, "repeats the point before it; remove one of them".to_owned());
         }
     }
     if !speeds_mps.is_empty() && speeds_mps.len() != count {
@@ -61,7 +60,7 @@ pub(crate) fn validate(
         let limit_mps = vehicle.speed_limit_mps.min(supervisor.speed_limit_mps);
         if *speed_mps > limit_mps {
             let problem = format!(
-                "is {speed_mps}, and the limit is {limit_mps}; lower it, or raise \
+                "is {speed_mps}, but the limit is {limit_mps}; lower it, or raise \
                  vehicle.speed_limit_mps and supervisor.speed_limit_mps"
             );
             return fail(key, problem);
@@ -69,13 +68,14 @@ pub(crate) fn validate(
     }
     let apart_m = libm::hypot(start.x_m - points[0][0], start.y_m - points[0][1]);
     if apart_m > START_TOLERANCE_M {
-        let problem = format!("lies {apart_m:.3} m from path.points[0], where it must lie");
+        let problem =
+            format!("lies {apart_m:.3} m from path.points[0], but must be the same point");
         return fail("path.start".to_owned(), problem);
     }
     curvature(points, vehicle)
 }
 
-/// Whether the rear axle can follow the path; an error names the tightest place.
+/// Checks that the rear axle can follow the path; an error names the tightest place.
 fn curvature(points: &[[f64; 2]], vehicle: &Vehicle) -> Result<(), Problem> {
     let sharpest = libm::tan(vehicle.steering_limit_rad) / vehicle.wheelbase_m;
     let (mut tightest, mut curvature) = (0, 0.0);
@@ -88,7 +88,7 @@ fn curvature(points: &[[f64; 2]], vehicle: &Vehicle) -> Result<(), Problem> {
         return Ok(());
     }
     let problem = format!(
-        "lies in a turn of radius {:.2} m, and the vehicle's least is {:.2} m (of its rear axle, by \
+        "lies in a turn of radius {:.2} m, but the vehicle's least is {:.2} m (for its rear axle, from \
          vehicle.wheelbase_m and vehicle.steering_limit_rad); widen the turn",
         1.0 / curvature,
         1.0 / sharpest
@@ -97,12 +97,12 @@ fn curvature(points: &[[f64; 2]], vehicle: &Vehicle) -> Result<(), Problem> {
 }
 
 /// The absolute curvature at each point that has neighbours, by the turn between the chords to the points
-/// two before and two behind it: over one point, the decimals of a file would look like curves.
+/// two before and two after it: over only one point, the rounding of a file's decimals would look like curves.
 fn curvatures(points: &[[f64; 2]]) -> impl Iterator<Item = (usize, f64)> {
     let count = points.len();
     let reach = if count >= 5 { 2 } else { 1 };
     let closed = points[0] == points[count - 1] && count > 2 * reach;
-    // A closed path's last point is its first: the circle has one point less.
+    // The last point of a closed path is its first, so there is one point less.
     let around = if closed { count - 1 } else { count };
     let inner = if closed { 0..around } else { reach..count.saturating_sub(reach).max(reach) };
     inner.map(move |index| {
@@ -158,7 +158,7 @@ mod tests {
         check("[[0,0],[nan,0]]", &[], &["path.points[1]", "NaN"]);
         check("[[0,0],[0,-inf]]", &[], &["path.points[1]", "-inf"]);
         check("[[0,0],[0,2e6]]", &[], &["path.points[1]", "2000000"]);
-        check("[[0,0],[0,0],[1,0]]", &[], &["path.points[1]", "once more"]);
+        check("[[0,0],[0,0],[1,0]]", &[], &["path.points[1]", "repeats the point"]);
         check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0]"], &["path.speeds_mps", "1 speeds for 2"]);
         check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0,0.0]"], &["path.speeds_mps[1]", "(0, 50]"]);
         check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0,51.0]"], &["path.speeds_mps[1]", "51"]);
@@ -168,7 +168,7 @@ mod tests {
             &[],
             &["path.points[3]", "radius 1.41 m", "4.98 m", "widen"],
         );
-        // There and back again: a point alone, and on a path that is closed.
+        // There and back again: at a single point, and on a closed path.
         check("[[0,0],[1,0],[2,0],[1,0.001],[0,0.001]]", &[], &["path.points[2]", "radius"]);
         check("[[0,0],[1,0],[2,0],[1,0],[0,0]]", &[], &["path.points[", "radius"]);
         check(&circle(4.9, 60, 1.0), &[], &["path.points[", "radius 4.90 m"]);

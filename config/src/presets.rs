@@ -9,28 +9,9 @@ pub struct Preset {
     pub text: &'static str,
 }
 
-macro_rules! embed {
-    ($($path:literal),+ $(,)?) => {
-        &[$(Preset { path: $path, text: include_str!(concat!("../", $path)) }),+]
-    };
-}
-
-/// Every embedded preset.
+/// Every embedded preset: all TOML files below `config/`, as the build finds them.
 pub fn presets() -> &'static [Preset] {
-    embed!(
-        "readings.toml",
-        "maneuvers/lane_change.toml",
-        "maneuvers/roundabout.toml",
-        "maneuvers/circuit.toml",
-        "maneuvers/path.toml",
-        "vehicles/tesla_model_3.toml",
-        "vehicles/tesla_model_3_dynamic.toml",
-        "vehicles/tesla_model_3_guarded.toml",
-        "vehicles/ackermann.toml",
-        "vehicles/carla.toml",
-        "vehicles/f1tenth.toml",
-        "launch/train.toml",
-    )
+    include!(concat!(env!("OUT_DIR"), "/presets.rs"))
 }
 
 /// The preset at `path` below `config/`.
@@ -38,18 +19,22 @@ pub(crate) fn preset(path: &str) -> Option<Preset> {
     presets().iter().copied().find(|preset| preset.path == path)
 }
 
-/// Name of the manoeuvre below a path of the user's own. It is of no use without one, so nobody is offered it.
+/// Names of the presets in one folder below `config/`, such as `laws`.
+pub fn names_in(folder: &str) -> impl Iterator<Item = &'static str> {
+    presets().iter().filter_map(move |preset| {
+        preset.path.strip_prefix(folder)?.strip_prefix('/')?.strip_suffix(".toml")
+    })
+}
+
+/// Name of the manoeuvre below a path of the user's own. It is of no use without such a path, so it is not listed.
 pub(crate) const OWN_PATH: &str = "path";
 
 /// Names of the manoeuvres that can be trained.
 pub fn maneuver_names() -> impl Iterator<Item = &'static str> {
-    presets()
-        .iter()
-        .filter_map(|preset| preset.path.strip_prefix("maneuvers/")?.strip_suffix(".toml"))
-        .filter(|name| *name != OWN_PATH)
+    names_in("maneuvers").filter(|name| *name != OWN_PATH)
 }
 
-/// The candidate that looks most like `word`, where one does at all.
+/// The candidate that is most like `word`, if any is similar.
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()
@@ -57,4 +42,12 @@ pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) ->
         .filter(|(likeness, _)| *likeness > 0.7)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, candidate)| candidate)
+}
+
+/// The advice for a user who wrote `word` instead of one of `names`.
+pub(crate) fn hint(word: &str, names: &[&str]) -> String {
+    match nearest(word, names.iter().copied()) {
+        Some(near) => format!("did you mean {near}?"),
+        None => format!("there are {}", names.join(", ")),
+    }
 }

@@ -1,23 +1,23 @@
-//! A path's points, smoothed and spaced evenly along it.
+//! Smooths a path's points, and spaces them evenly along it.
 //!
-//! Between two points runs a cubic. Its tangent at a point is the one of the parabola through the point and
+//! A cubic connects each two neighbouring points. Its tangent at a point is that of the parabola through the point and
 //! its neighbours over their distances (the three-point formula for uneven steps), which on a circle is the
-//! circle's own; its tangents' lengths are those with which it follows the arc of a circle. So coarse points of
-//! a circle do not become a polygon with corners. Curves and their time derivatives are pure arithmetic and
+//! circle's tangent. The lengths of its tangents are those with which it follows the arc of a circle. So coarse points
+//! of a circle do not become a polygon with corners. Curves and their time derivatives are pure arithmetic and
 //! libm: the same bytes on every host.
 
-/// Distance of the points along the path. On it a car turns by a twentieth of a radian at most, so that arcs
-/// between the points miss the smooth path by less than a millimetre, and a projection on a few metres of the
-/// path still visits only some dozen of them.
+/// Distance between points along the path. Over this distance a car turns by at most a twentieth of a radian, so that
+/// arcs between the points miss the smooth path by less than a millimetre, and a projection on a few metres of the
+/// path still visits only a few dozen of them.
 pub(crate) const SPACING_M: f64 = 0.25;
 
-/// Parts of a spacing in which the arc's length is summed up: its error is a millionth.
+/// Number of parts of a spacing over which the arc's length is summed up: its error is then a millionth.
 const PARTS: f64 = 8.0;
 
 /// A resampled path.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Resampled {
-    /// Evenly spaced points; the ends are those of the given points.
+    /// Evenly spaced points, with the same ends as the given points.
     pub(crate) points: Vec<[f64; 2]>,
     /// The speed at each point, if there were any.
     pub(crate) speeds_mps: Vec<f64>,
@@ -27,7 +27,7 @@ pub(crate) struct Resampled {
     pub(crate) yaw_rad: f64,
     /// Length of the path.
     pub(crate) length_m: f64,
-    /// Time to the end at the speeds, started at the first one; 0 without speeds.
+    /// Time to the end at these speeds, beginning at the first one; 0 without speeds.
     pub(crate) time_s: f64,
 }
 
@@ -119,7 +119,7 @@ pub(crate) fn resample(points: &[[f64; 2]], speeds_mps: &[f64], most: usize) -> 
         if !speeds_mps.is_empty() {
             let share = (along_m - given_m[index]) / (given_m[index + 1] - given_m[index]);
             let (from, to) = (speeds_mps[index], speeds_mps[index + 1]);
-            // Rounding must not carry a speed past the file's own, which may be the highest allowed.
+            // Rounding must not raise a speed above those of the file, which may be the highest allowed.
             let speed_mps = (from + share * (to - from)).clamp(from.min(to), from.max(to));
             resampled.speeds_mps.push(if step == steps { to } else { speed_mps });
         }
@@ -135,13 +135,13 @@ fn headings(points: &[[f64; 2]]) -> Vec<f64> {
     let last = points.len() - 1;
     let chord = |from: [f64; 2], to: [f64; 2]| (to[0] - from[0], to[1] - from[1]);
     let heading = |(x_m, y_m): (f64, f64)| libm::atan2(y_m, x_m);
-    // The parabola's tangent: each chord's direction counts for as much as the other one is long.
+    // The parabola's tangent: the direction of each chord is weighted with the length of the other one.
     let inner = |before: [f64; 2], here: [f64; 2], behind: [f64; 2]| {
         let (a, b) = (chord(before, here), chord(here, behind));
         let (a_m, b_m) = (libm::hypot(a.0, a.1), libm::hypot(b.0, b.1));
         let (a_weight, b_weight) = (b_m / a_m, a_m / b_m);
         let tangent = (a.0 * a_weight + b.0 * b_weight, a.1 * a_weight + b.1 * b_weight);
-        // Straight back: the path has no tangent there, and runs into the point as it came.
+        // The path turns straight back: it has no tangent there, and keeps the direction in which it comes.
         let turns_back = libm::hypot(tangent.0, tangent.1) < 1e-9 * (a_m + b_m);
         heading(if turns_back { a } else { tangent })
     };
@@ -155,11 +155,11 @@ fn headings(points: &[[f64; 2]]) -> Vec<f64> {
         return vec![first_chord; 2];
     }
     if points[0] == points[last] {
-        // The seam is a point like any other.
+        // The point where a closed path meets itself is a point like any other.
         let seam = inner(points[last - 1], points[0], points[1]);
         (headings[0], headings[last]) = (seam, seam);
     } else {
-        // An end mirrors its neighbour about the chord, as on the arc of a circle.
+        // The heading at an end is that of its neighbour mirrored about the chord, as on the arc of a circle.
         headings[0] = first_chord + wrap(first_chord - headings[1]);
         headings[last] = last_chord + wrap(last_chord - headings[last - 1]);
     }

@@ -1,4 +1,4 @@
-//! How a ROS 2 vehicle is spoken to. Every key is documented beside its value in vehicles/tesla_model_3.toml.
+//! How to communicate with a ROS 2 vehicle. Every key is documented next to its value in vehicles/tesla_model_3.toml.
 
 use std::net::IpAddr;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::validate::{Problem, above, within};
 
-/// How a ROS 2 vehicle is spoken to.
+/// How to communicate with a ROS 2 vehicle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in vehicles/tesla_model_3.toml")]
@@ -33,13 +33,13 @@ pub struct Ros2 {
     pub start_heading_rad: f64,
 }
 
-/// What a reader asks for, and a writer offers.
+/// The reliability that a reader asks for, and a writer offers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Ros2Reliability {
-    /// What is lost is lost.
+    /// Lost messages stay lost.
     BestEffort,
-    /// What is lost is sent again.
+    /// Lost messages are sent again.
     Reliable,
 }
 
@@ -53,7 +53,7 @@ pub enum DriveMessage {
     Bare,
 }
 
-/// The message that tells of a collision.
+/// The message that reports a collision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CollisionMessage {
@@ -67,7 +67,7 @@ pub enum CollisionMessage {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Align {
-    /// The pose at the time of a request is that of the path's start.
+    /// The pose at the time of a request becomes that of the path's start.
     Start,
     /// The odometry's frame is the map's.
     Map,
@@ -78,11 +78,11 @@ const MAX_NAME: usize = 200;
 
 pub(crate) fn validate(ros2: &Ros2) -> Result<(), Problem> {
     let key = |name: &str| format!("vehicle.ros2.{name}");
-    // The ports of domains above are not there any more.
+    // Domains above this would need port numbers that do not exist.
     within(&key("domain_id"), ros2.domain_id.into(), 0.0, 232.0)?;
     if !ros2.network.is_empty() && ros2.network.parse::<IpAddr>().is_err() {
         let problem = format!(
-            "is {:?}, and must be the IP address of an interface of this machine, or empty for all",
+            "is {:?}, but must be the IP address of an interface of this machine, or empty for all",
             ros2.network
         );
         return Err((key("network"), problem));
@@ -94,8 +94,8 @@ pub(crate) fn validate(ros2: &Ros2) -> Result<(), Problem> {
     ] {
         if !(is_topic(topic) || may_be_empty && topic.is_empty()) {
             let problem = format!(
-                "is {topic:?}, and must be a whole ROS name, as in \"/car/odom\": words of letters, digits and \
-                 single underscores behind slashes"
+                "is {topic:?}, but must be a full ROS name, as in \"/car/odom\": words of letters, digits and \
+                 single underscores, each after a slash"
             );
             return Err((key(name), problem));
         }
@@ -111,7 +111,7 @@ pub(crate) fn validate(ros2: &Ros2) -> Result<(), Problem> {
         }
     }
     if ros2.steering_sign.abs() != 1 {
-        let problem = format!("is {}, and must be 1 or -1", ros2.steering_sign);
+        let problem = format!("is {}, but must be 1 or -1", ros2.steering_sign);
         return Err((key("steering_sign"), problem));
     }
     within(&key("odometry_point_m"), ros2.odometry_point_m, -20.0, 20.0)?;
@@ -120,7 +120,7 @@ pub(crate) fn validate(ros2: &Ros2) -> Result<(), Problem> {
     above(&key("start_heading_rad"), ros2.start_heading_rad, 0.0, 3.2)
 }
 
-/// Whether it is a whole name of a ROS topic.
+/// Whether it is the full name of a ROS topic.
 fn is_topic(name: &str) -> bool {
     let is_word = |word: &str| {
         word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')

@@ -1,13 +1,14 @@
-//! The resolved configuration of a run. Every key is documented beside its value in the presets; the
+//! The resolved configuration of a run. Every key is documented next to its value in the presets; the
 //! comments here say what the presets cannot.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{ConfigError, Grid, validate};
+use crate::law::{LawConfig, NamedParameters, Parameters, Settings, paper_law};
+use crate::{Axes, ConfigError, Grid, validate};
 
-/// Everything that decides what a run computes.
+/// Everything that determines what a run computes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunConfig {
@@ -17,37 +18,47 @@ pub struct RunConfig {
     pub vehicle_preset: String,
     /// The rows of the paper's table for this manoeuvre; empty for a path that the paper does not have.
     pub paper: Vec<PaperSet>,
-    /// The path to be driven.
+    /// The path to drive.
     pub path: PathConfig,
     /// How the reference pose advances.
     pub reference: Reference,
     /// Length and pace of a drive.
     pub drive: Drive,
-    /// Settings of the control law.
+    /// Settings that every control law shares.
     pub controller: Controller,
+    /// Name or file of the control law's preset.
+    pub law_preset: String,
+    /// The control law.
+    pub law: LawConfig,
     /// Settings of the safety gate and of the zones.
     pub supervisor: Supervisor,
     /// Noise of the odometry.
     pub noise: Noise,
     /// The road's edges, and what leaving it costs.
     pub collision: Collision,
-    /// The gain sets that can be chosen.
-    pub grid: Grid,
-    /// The learners.
+    /// The objective by which a drive is judged.
+    pub objective: ObjectiveConfig,
+    /// The values of the grid along each of the law's parameters; see [`RunConfig::grid`].
+    pub grid: Axes,
+    /// When a set is ranked among all sets of the grid.
+    pub ranking: Ranking,
+    /// The tuner.
+    pub tuner: TunerConfig,
+    /// The learners of the Q-learning tuners.
     pub learning: Learning,
-    /// How gains are chosen under noise.
+    /// How a set is chosen under noise.
     pub robust: Robust,
-    /// What differs from run to run.
+    /// The keys that differ from run to run.
     pub run: Run,
     /// The vehicle.
     pub vehicle: Vehicle,
 }
 
 impl RunConfig {
-    /// Parses what the orchestrator resolved and wrote for the processes of a run.
+    /// Parses the configuration that the orchestrator resolved and wrote for the processes of a run.
     ///
     /// # Errors
-    /// If the text is not a whole and valid configuration.
+    /// If the text is not a complete and valid configuration.
     pub fn from_resolved(text: &str) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text)
             .map_err(|error| ConfigError::new("config.toml", "", error.message().to_owned()))?;
@@ -61,22 +72,47 @@ impl RunConfig {
         (self.drive.loop_time_s / self.drive.tick_s).round() as u64
     }
 
-    /// The paper's rows that this path can be driven with: with a set for each manoeuvre of its zones, or one for
-    /// all.
-    pub fn paper_rows(&self) -> impl Iterator<Item = &PaperSet> {
-        let due = self.maneuvers_due().len();
-        self.paper.iter().filter(move |row| row.gains.len() == 1 || row.gains.len() == due)
+    /// The parameter sets that can be chosen.
+    pub fn grid(&self) -> Grid {
+        Grid::new(&self.law, &self.grid)
     }
 
-    /// The set that the paper chose for this manoeuvre, where it chose a single one.
-    pub fn paper_gains(&self) -> Option<Gains> {
-        match self.paper.iter().find(|set| set.chosen)?.gains[..] {
-            [gains] => Some(gains),
+    /// The paper's rows with which this path can be driven: those with a set for each manoeuvre of its zones, or one
+    /// for all. Empty with a law other than the paper's.
+    pub fn paper_rows(&self) -> Vec<PaperRow> {
+        let paper = paper_law();
+        if !self.law.keys().eq(paper.keys()) || self.law.name != paper.name {
+            return Vec::new();
+        }
+        let due = self.maneuvers_due().len();
+        let rows = self.paper.iter().filter(|row| row.gains.len() == 1 || row.gains.len() == due);
+        rows.map(|row| PaperRow {
+            sets: row
+                .gains
+                .iter()
+                .map(|set| paper.parameters_of(set).expect("a resolved configuration was checked"))
+                .collect(),
+            mse_m2: row.mse_m2,
+            noisy_mse_m2: row.noisy_mse_m2,
+            chosen: row.chosen,
+        })
+        .collect()
+    }
+
+    /// The set that the paper chose for this manoeuvre, if it chose a single one.
+    pub fn paper_set(&self) -> Option<Parameters> {
+        match self.paper_rows().into_iter().find(|row| row.chosen)?.sets[..] {
+            [set] => Some(set),
             _ => None,
         }
     }
 
-    /// Names of the manoeuvres that the path asks for, each once, in the order in which they come first.
+    /// Whether the path is one of the user's own.
+    pub fn is_own_path(&self) -> bool {
+        self.maneuver == crate::presets::OWN_PATH
+    }
+
+    /// Names of the manoeuvres that the path needs, each once, in the order of their first zones.
     pub fn maneuvers_due(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
         for zone in &self.path.zones {
@@ -87,11 +123,11 @@ impl RunConfig {
         names
     }
 
-    /// The gains of each zone, from one gain set for each of [`RunConfig::maneuvers_due`], or one for all.
+    /// The parameters of each zone, from one set for each of [`RunConfig::maneuvers_due`], or one for all.
     ///
     /// # Panics
     /// If there is neither one set nor one for each manoeuvre.
-    pub fn gains_by_zone(&self, sets: &[Gains]) -> Vec<Gains> {
+    pub fn sets_by_zone(&self, sets: &[Parameters]) -> Vec<Parameters> {
         let due = self.maneuvers_due();
         assert!(sets.len() == 1 || sets.len() == due.len(), "a set for each manoeuvre");
         let set_of = |zone: &ZoneConfig| {
@@ -101,50 +137,29 @@ impl RunConfig {
         self.path.zones.iter().map(set_of).collect()
     }
 
-    /// Vehicles of the fleet: `run.fleet`, or one a learner.
+    /// Number of learners of the tuner: its setting `learners`, or else one for each learning rate.
+    pub fn learners(&self) -> usize {
+        match self.tuner.settings.0.get("learners") {
+            Some(_) => self.tuner.settings.number("learners").max(1.0) as usize,
+            None => self.run.alphas.len(),
+        }
+    }
+
+    /// Number of vehicles in the fleet: `run.fleet`, or one for each learner.
     pub fn fleet(&self) -> usize {
         match self.run.fleet {
-            0 => self.run.alphas.len(),
+            0 => self.learners(),
             fleet => fleet as usize,
         }
     }
 }
 
-/// The four gains of the paper's control law (its equation 2).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Gains {
-    /// Linear velocity gain, 1/s.
-    pub kv: f64,
-    /// Linear gain on the cross-track error, rad/(m·s).
-    pub kl: f64,
-    /// Steering gain on the heading error, 1/s.
-    pub ks: f64,
-    /// Low-pass filter gain, without unit.
-    pub ki: f64,
-}
-
-impl Gains {
-    /// The gains in the paper's order (Kv, Kl, Ks, Ki).
-    pub fn to_array(self) -> [f64; 4] {
-        [self.kv, self.kl, self.ks, self.ki]
-    }
-
-    /// Gains from the paper's order (Kv, Kl, Ks, Ki).
-    pub fn from_array([kv, kl, ks, ki]: [f64; 4]) -> Self {
-        Self { kv, kl, ks, ki }
-    }
-
-    /// Names of the gains in the paper's order.
-    pub const NAMES: [&'static str; 4] = ["kv", "kl", "ks", "ki"];
-}
-
-/// One row of the paper's tables: gains, and what the paper read with them.
+/// One row of the paper's tables: gains, and the paper's results with them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PaperSet {
-    /// One gain set for each manoeuvre of the path, in the order in which they come.
-    pub gains: Vec<Gains>,
+    /// One set of the paper's law for each manoeuvre of the path, in the order in which they come.
+    pub gains: Vec<NamedParameters>,
     /// Its mse without noise.
     pub mse_m2: f64,
     /// Its worst mse of ten drives with noise.
@@ -152,6 +167,53 @@ pub struct PaperSet {
     /// Whether it is the set that the paper chose.
     #[serde(default)]
     pub chosen: bool,
+}
+
+/// A row of the paper's tables whose sets can be driven.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PaperRow {
+    /// One set for each manoeuvre of the path, or one for all.
+    pub sets: Vec<Parameters>,
+    /// Its mse without noise.
+    pub mse_m2: f64,
+    /// Its worst mse of ten drives with noise.
+    pub noisy_mse_m2: f64,
+    /// Whether it is the set that the paper chose.
+    pub chosen: bool,
+}
+
+/// The objective by which a drive is judged: the one number that is minimised.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct ObjectiveConfig {
+    pub name: String,
+    pub summary: String,
+    /// Its unit; empty if it has none.
+    pub unit: String,
+    pub cap_wheelbases: f64,
+    /// The settings of its file in `config/objectives`.
+    #[serde(default)]
+    pub settings: Settings,
+}
+
+/// The tuner that `learning.tuner` names, as described by its file in `config/tuners`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TunerConfig {
+    /// What it is, in one line.
+    pub summary: String,
+    /// Its own settings.
+    #[serde(default)]
+    pub settings: Settings,
+}
+
+/// When a set is ranked among all sets of the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct Ranking {
+    pub max_ticks: u64,
 }
 
 /// A pose in the map frame (REP-103: x forward, y left, yaw counter-clockwise).
@@ -172,12 +234,12 @@ pub struct PoseConfig {
 pub struct PathConfig {
     /// Pose of the path's start.
     pub start: PoseConfig,
-    /// The pieces, one behind the other.
+    /// The pieces, one after the other.
     pub pieces: Vec<Piece>,
-    /// Points that the path runs through, (x_m, y_m) in the map frame; the first lies at the start. A
-    /// path is closed where the last one is the first one again.
+    /// Points through which the path runs, (x_m, y_m) in the map frame; the first one is at the start. A
+    /// path is closed if its last point is its first.
     pub points: Vec<[f64; 2]>,
-    /// The reference's speed at each point; empty where it is the same everywhere.
+    /// The reference's speed at each point; empty if it is the same everywhere.
     pub speeds_mps: Vec<f64>,
     /// The zones, in the order of the path.
     pub zones: Vec<ZoneConfig>,
@@ -192,7 +254,8 @@ pub enum Piece {
         /// Length.
         length_m: f64,
     },
-    /// To another lane: its heading is the diagonal's own, and the old one again behind it.
+    /// A straight diagonal to another lane: its heading is that of the diagonal; after it, the heading is the old one
+    /// again.
     Diagonal {
         /// Distance ahead, in the heading before the piece.
         length_m: f64,
@@ -232,7 +295,7 @@ choice!(
     Advance {
         /// With time, at a set speed after a ramp from rest.
         Time,
-        /// With the measured pose's projection on the path.
+        /// With the projection of the measured pose on the path.
         Projection,
     }
 );
@@ -258,7 +321,7 @@ pub struct Drive {
     pub goal_radius_m: f64,
 }
 
-/// Settings of the control law.
+/// Settings that every control law shares.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
@@ -269,7 +332,7 @@ pub struct Controller {
 choice!(
     /// Where the vehicle is, for the zones.
     ZoneBy {
-        /// By the measured pose's projection on the path.
+        /// By the projection of the measured pose on the path.
         Measured,
         /// By the reference's progress.
         Reference,
@@ -310,16 +373,6 @@ pub struct Collision {
     pub penalty: f64,
 }
 
-/// Which learner tunes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Tuner {
-    /// The paper's: locks gains that the terminal sets agree on.
-    EducatedQ,
-    /// Plain Q-learning.
-    Q,
-}
-
 choice!(
     /// Gains at the start of an episode.
     EpisodeGains {
@@ -339,7 +392,7 @@ choice!(
     }
 );
 choice!(
-    /// Over what the closest state is kept.
+    /// For how long the closest state is kept.
     ClosestOver {
         /// The whole training.
         Training,
@@ -393,12 +446,12 @@ choice!(
     }
 );
 
-/// The learners.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// The learners of the Q-learning tuners.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
 pub struct Learning {
-    pub tuner: Tuner,
+    pub tuner: String,
     pub episodes: u32,
     pub step_limit: u32,
     pub gamma: f64,
@@ -419,7 +472,7 @@ pub struct Learning {
     pub greedy_ties: GreedyTies,
 }
 
-/// How gains are chosen under noise.
+/// How a set is chosen under noise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
@@ -430,7 +483,7 @@ pub struct Robust {
     pub holdout: u32,
 }
 
-/// What differs from run to run.
+/// The keys that differ from run to run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
@@ -493,7 +546,7 @@ pub struct Vehicle {
     pub gains: BTreeMap<String, crate::TunedGains>,
 }
 
-/// Limits of what may reach the vehicle, and of what may be believed of it. `inf` switches a limit off.
+/// Limits for commands to the vehicle, and for the plausibility of its odometry. `inf` switches a limit off.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs, reason = "documented key by key in vehicles/tesla_model_3.toml")]

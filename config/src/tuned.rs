@@ -1,65 +1,116 @@
-//! Gains that were promoted to a vehicle, as they stand in its file below `gains.MANEUVER`.
+//! Gains that were promoted to a vehicle, as written in its file below `gains.MANEUVER`.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::Gains;
-use crate::validate::{Problem, check_gains, within};
+use crate::law::{self, NamedParameters};
+use crate::validate::{Problem, within};
 
-/// The tuned gains of a vehicle for one manoeuvre.
+/// The tuned parameters of a vehicle for one manoeuvre.
+///
+/// Files of earlier versions have the four gains of the paper's law without a separate table; they are read, too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Written")]
 pub struct TunedGains {
-    /// Linear velocity gain, 1/s.
-    pub kv: f64,
-    /// Linear gain on the cross-track error, rad/(m·s).
-    pub kl: f64,
-    /// Steering gain on the heading error, 1/s.
-    pub ks: f64,
-    /// Low-pass filter gain, without unit.
-    pub ki: f64,
-    /// Where they come from; gains written by hand have none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Name of the law to which they belong.
+    pub law: String,
+    /// The parameters.
+    pub parameters: NamedParameters,
+    /// Where they come from; those written by hand have none.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub provenance: Option<Provenance>,
-    /// What stood here before, the newest last.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    /// The gains that were here before, the newest last.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub history: Vec<PastGains>,
 }
 
-impl TunedGains {
-    /// The gains alone.
-    pub fn gains(&self) -> Gains {
-        Gains { kv: self.kv, kl: self.kl, ks: self.ks, ki: self.ki }
-    }
-}
-
-/// Gains that stood in a vehicle's file before.
+/// Parameters that were in a vehicle's file before.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Written")]
 pub struct PastGains {
-    /// Linear velocity gain, 1/s.
-    pub kv: f64,
-    /// Linear gain on the cross-track error, rad/(m·s).
-    pub kl: f64,
-    /// Steering gain on the heading error, 1/s.
-    pub ks: f64,
-    /// Low-pass filter gain, without unit.
-    pub ki: f64,
+    /// Name of the law to which they belong.
+    pub law: String,
+    /// The parameters.
+    pub parameters: NamedParameters,
     /// When they were replaced (RFC 3339).
     pub replaced_at: String,
     /// What replaced them.
     pub replaced_by: Replacement,
-    /// Where they come from; gains written by hand have none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Where they come from; those written by hand have none.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub provenance: Option<Provenance>,
 }
 
-impl PastGains {
-    /// The gains alone.
-    pub fn gains(&self) -> Gains {
-        Gains { kv: self.kv, kl: self.kl, ks: self.ks, ki: self.ki }
+/// A set as written in a file: in this version's form, or in that of earlier versions.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    law: Option<String>,
+    parameters: Option<NamedParameters>,
+    kv: Option<f64>,
+    kl: Option<f64>,
+    ks: Option<f64>,
+    ki: Option<f64>,
+    replaced_at: Option<String>,
+    replaced_by: Option<Replacement>,
+    provenance: Option<Provenance>,
+    history: Option<Vec<PastGains>>,
+}
+
+impl Written {
+    /// The law's name and the parameters, from either form.
+    fn set(&mut self) -> Result<(String, NamedParameters), String> {
+        let gains = [("kv", self.kv), ("kl", self.kl), ("ks", self.ks), ("ki", self.ki)];
+        if let Some(parameters) = self.parameters.take() {
+            if let Some((name, _)) = gains.iter().find(|(_, gain)| gain.is_some()) {
+                return Err(format!(
+                    "has both {name} and the table `parameters`; keep one of the two"
+                ));
+            }
+            let law = self.law.take().ok_or("missing field `law`: the law of these parameters")?;
+            return Ok((law, parameters));
+        }
+        if self.law.is_some() {
+            return Err("missing field `parameters`".to_owned());
+        }
+        let named = gains.into_iter().map(|(name, gain)| {
+            let gain = gain.ok_or_else(|| format!("missing field `{name}`"))?;
+            Ok((name.to_owned(), gain))
+        });
+        Ok(("paper".to_owned(), NamedParameters(named.collect::<Result<_, String>>()?)))
+    }
+}
+
+impl TryFrom<Written> for TunedGains {
+    type Error = String;
+
+    fn try_from(mut written: Written) -> Result<Self, String> {
+        if written.replaced_at.is_some() || written.replaced_by.is_some() {
+            return Err("replaced_at and replaced_by belong in its history".to_owned());
+        }
+        let (law, parameters) = written.set()?;
+        let history = written.history.unwrap_or_default();
+        Ok(Self { law, parameters, provenance: written.provenance, history })
+    }
+}
+
+impl TryFrom<Written> for PastGains {
+    type Error = String;
+
+    fn try_from(mut written: Written) -> Result<Self, String> {
+        if written.history.is_some() {
+            return Err("a set of the history cannot have a history".to_owned());
+        }
+        let (law, parameters) = written.set()?;
+        Ok(Self {
+            law,
+            parameters,
+            replaced_at: written.replaced_at.ok_or("missing field `replaced_at`")?,
+            replaced_by: written.replaced_by.ok_or("missing field `replaced_by`")?,
+            provenance: written.provenance,
+        })
     }
 }
 
@@ -69,12 +120,12 @@ impl PastGains {
 pub enum Replacement {
     /// Gains of a training.
     Promotion,
-    /// Older gains: these ones were given up.
+    /// Older gains, by a rollback.
     Rollback,
 }
 
 impl Replacement {
-    /// As it stands in the file.
+    /// The word in the file.
     pub fn name(self) -> &'static str {
         match self {
             Self::Promotion => "promotion",
@@ -83,7 +134,7 @@ impl Replacement {
     }
 }
 
-/// The training that gains come from.
+/// The training from which gains come.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
@@ -95,11 +146,18 @@ pub struct Provenance {
     pub run: String,
     /// The manoeuvre that was trained.
     pub maneuver: String,
-    /// Name of the vehicle that was trained with.
+    /// Name of the vehicle in the training.
     pub vehicle: String,
     /// Seed of the training.
     pub seed: u64,
-    /// Its learning rates.
+    /// The tuner; versions from before objectives could be chosen do not name it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tuner: Option<String>,
+    /// The objective by which drives were judged; the distance in earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub objective: Option<String>,
+    /// The learning rates of the Q-learning tuners.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub alphas: Vec<f64>,
     /// Whether there was noise on the odometry.
     pub noise: bool,
@@ -107,19 +165,27 @@ pub struct Provenance {
     pub distance: f64,
     /// Mean squared error, noise-free.
     pub mse_m2: f64,
-    /// Sets of the grid.
-    pub grid_size: u64,
+    /// Mean distance of the true pose from the path, noise-free.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path_mean_m: Option<f64>,
+    /// Its largest value.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path_max_m: Option<f64>,
+    /// Number of sets of the grid; `None` if the grid was not driven.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub grid_size: Option<u64>,
     /// Rank in the grid by the distance, noise-free.
-    pub rank_distance: u64,
-    /// Rank in the grid by the mean distance under noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rank_mean_distance: Option<u64>,
-    /// Lower end of the bootstrap interval of the mean distance under noise.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub mean_distance_low: Option<f64>,
+    pub rank_distance: Option<u64>,
+    /// Rank in the grid by the mean of the objective under noise.
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "rank_mean_distance")]
+    pub rank_mean: Option<u64>,
+    /// Lower end of the bootstrap interval of the mean under noise.
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "mean_distance_low")]
+    pub mean_low: Option<f64>,
     /// Its upper end.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub mean_distance_high: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "mean_distance_high")]
+    pub mean_high: Option<f64>,
     /// Version of pathtune that promoted them.
     pub pathtune: String,
 }
@@ -134,18 +200,30 @@ pub(crate) fn validate(gains: &BTreeMap<String, TunedGains>) -> Result<(), Probl
             let problem = "must be below a name of 1 to 40 characters on one line".to_owned();
             return Err((key, problem));
         }
-        check_set(&key, set.gains(), set.provenance.as_ref())?;
+        check_set(&key, &set.law, &set.parameters, set.provenance.as_ref())?;
         for (index, past) in set.history.iter().enumerate() {
             let key = format!("{key}.history[{index}]");
-            check_set(&key, past.gains(), past.provenance.as_ref())?;
+            check_set(&key, &past.law, &past.parameters, past.provenance.as_ref())?;
             check_text(&key, "replaced_at", &past.replaced_at)?;
         }
     }
     Ok(())
 }
 
-fn check_set(key: &str, gains: Gains, provenance: Option<&Provenance>) -> Result<(), Problem> {
-    check_gains(gains).map_err(|(name, problem)| (format!("{key}.{name}"), problem))?;
+fn check_set(
+    key: &str,
+    law: &str,
+    parameters: &NamedParameters,
+    provenance: Option<&Provenance>,
+) -> Result<(), Problem> {
+    let Some(of_law) = law::preset(law) else {
+        let known: Vec<&str> = crate::names_in("laws").collect();
+        let hint = crate::presets::hint(law, &known);
+        return Err((format!("{key}.law"), format!("is {law:?}, which is unknown; {hint}")));
+    };
+    of_law
+        .parameters_of(parameters)
+        .map_err(|(name, problem)| (format!("{key}.parameters.{name}"), problem))?;
     let Some(it) = provenance else { return Ok(()) };
     let key = format!("{key}.provenance");
     for (name, text) in [
@@ -161,8 +239,10 @@ fn check_set(key: &str, gains: Gains, provenance: Option<&Provenance>) -> Result
     for (name, number) in [
         ("distance", Some(it.distance)),
         ("mse_m2", Some(it.mse_m2)),
-        ("mean_distance_low", it.mean_distance_low),
-        ("mean_distance_high", it.mean_distance_high),
+        ("path_mean_m", it.path_mean_m),
+        ("path_max_m", it.path_max_m),
+        ("mean_low", it.mean_low),
+        ("mean_high", it.mean_high),
     ] {
         within(&format!("{key}.{name}"), number.unwrap_or_default(), 0.0, 1e12)?;
     }
@@ -177,8 +257,8 @@ fn check_text(key: &str, name: &str, text: &str) -> Result<(), Problem> {
     Err((format!("{key}.{name}"), problem))
 }
 
-/// Whether `key` is that of promoted gains, in a document whose other keys are `known`. No preset has any, so that
-/// they cannot be found there; what stands below is checked when it is parsed.
+/// Whether `key` is that of promoted gains, in a document whose other keys are `known`. No preset has any gains, so
+/// they cannot be found there; the keys below are checked when they are parsed.
 pub(crate) fn is_map(known: &Table, key: &str) -> bool {
     match key {
         "vehicle.gains" => known.contains_key("vehicle"),
@@ -188,7 +268,7 @@ pub(crate) fn is_map(known: &Table, key: &str) -> bool {
     }
 }
 
-/// Lays promoted gains on those that are there: those of a manoeuvre are replaced as a whole.
+/// Puts promoted gains on top of the present ones: those of a manoeuvre are replaced as a whole.
 pub(crate) fn lay_on(values: &mut Table, key: &str, above: Value) {
     let values = match key.split_once('.') {
         Some((head, _)) => values.get_mut(head).and_then(Value::as_table_mut),
@@ -203,7 +283,7 @@ pub(crate) fn lay_on(values: &mut Table, key: &str, above: Value) {
     }
 }
 
-/// Collects where `item` and everything below it stands.
+/// Collects the places of `item` and of everything below it.
 pub(crate) fn note_places(
     item: &toml_edit::Item,
     key: &str,
@@ -264,7 +344,10 @@ mod tests {
     fn they_are_read_and_survive_the_resolved_configuration() {
         let config = resolve(FILE).unwrap();
         let set = &config.vehicle.gains["lane_change"];
-        assert_eq!((set.kv, set.kl, set.history[0].ki), (3.0, 21.0, 0.5));
+        assert_eq!(set.law, "paper");
+        let names = ["kv", "kl", "ks", "ki"];
+        assert_eq!(names.map(|name| set.parameters.get(name).unwrap()), [3.0, 21.0, 21.0, 0.7]);
+        assert_eq!(set.history[0].parameters.get("ki"), Some(0.5));
         let text = toml::to_string(&config).unwrap();
         assert_eq!(RunConfig::from_resolved(&text).unwrap(), config);
         let mut again = Layers::maneuver("lane_change").unwrap();
@@ -289,12 +372,21 @@ mod tests {
             assert!(!message.contains('\n'), "{message:?}");
         };
         let with = |old: &str, new: &str| FILE.replacen(old, new, 1);
-        check(&with("kv", "kx"), &["mine.toml:4", "gains.lane_change.kx", "unknown field"]);
-        check(&with("21.0", "-2"), &["mine.toml:6", "vehicle.gains.lane_change.ks", "is -2"]);
-        check(&with("0.7", "'x'"), &["mine.toml:7", "gains.lane_change.ki", "string"]);
+        check(&with("kv", "kx"), &["mine.toml:4", "gains.lane_change", "unknown field `kx`"]);
+        check(&with("21.0", "-2"), &["mine.toml:6", "gains.lane_change.parameters.ks", "is -2"]);
+        check(&with("0.7", "'x'"), &["mine.toml", "gains.lane_change", "string"]);
         check(&with("kv = 3.0\n", ""), &["mine.toml:3", "gains.lane_change", "missing field `kv`"]);
-        check(&with("ki = 0.5", "ki = 1.5"), &["mine.toml:13", "history[0].ki", "[0, 1]"]);
+        check(
+            &with("ki = 0.5", "ki = 1.5"),
+            &["mine.toml:13", "history[0].parameters.ki", "[0, 1]"],
+        );
         check(&with("'promotion'", "'x'"), &["mine.toml:15", "replaced_by", "rollback"]);
+        check(
+            "[gains.a]\nlaw = 'x'\nparameters = {}",
+            &["mine.toml:2", "vehicle.gains.a.law", "'x'".trim_matches('\'')],
+        );
+        let own = "[gains.a]\nlaw = 'paper'\nparameters = { kv = 1, kl = 1, ks = -2, ki = 0 }";
+        check(own, &["mine.toml:3", "gains.a.parameters.ks", "is -2"]);
         check("gains = 3", &["mine.toml:1", "vehicle.gains"]);
         check("gains.'' = {kv=1,kl=1,ks=1,ki=0.5}", &["mine.toml:1", "vehicle.gains"]);
         check("gain = 3", &["mine.toml:1", "unknown key"]);

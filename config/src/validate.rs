@@ -1,11 +1,13 @@
-//! Ranges, and what must fit together.
+//! Checks ranges, and values that must fit together.
 
-use crate::{Advance, Axis, Piece, RunConfig, Vehicle, VehicleModel, points};
+use crate::{Advance, Axis, Grid, Piece, RunConfig, Scale, Vehicle, VehicleModel, law, points};
 
 /// The largest fleet that one message carries.
 pub(crate) const MAX_FLEET: u32 = 256;
 /// The largest grid: the exhaustive ranking visits every set.
 const MAX_GRID: usize = 100_000;
+/// The largest Q-table, in entries: bins² · 3^parameters. About 1.2 GB for each learner.
+const MAX_Q_TABLE: f64 = 1e8;
 /// The longest drive, in ticks.
 const MAX_TICKS: f64 = 1e6;
 
@@ -22,7 +24,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     above("drive.loop_time_s", c.drive.loop_time_s, 0.0, 3600.0)?;
     within("drive.tick_s", c.drive.tick_s, 0.001, 0.1)?;
     if c.ticks() < 1 || c.drive.loop_time_s / c.drive.tick_s > MAX_TICKS {
-        let problem = format!("holds {} ticks, and must hold 1 to {MAX_TICKS}", c.ticks());
+        let problem = format!("holds {} ticks, but must hold 1 to {MAX_TICKS}", c.ticks());
         return Err(("drive.loop_time_s".to_owned(), problem));
     }
     within("drive.goal_radius_m", c.drive.goal_radius_m, 0.0, 100.0)?;
@@ -42,7 +44,9 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     whole("robust.repeats", c.robust.repeats.into(), 2, 1000)?;
     whole("robust.holdout", c.robust.holdout.into(), 1, 10_000)?;
     path(c)?;
+    presets(c)?;
     grid(c)?;
+    scales(c)?;
     learning(c)?;
     run(c)?;
     vehicle(c)
@@ -55,23 +59,12 @@ fn paper(config: &RunConfig) -> Result<(), Problem> {
             return Err((key, "is empty; give a set for each manoeuvre of the path".to_owned()));
         }
         for (index, gains) in set.gains.iter().enumerate() {
-            crate::check_gains(*gains)
+            law::paper_law()
+                .parameters_of(gains)
                 .map_err(|(name, problem)| (format!("{key}[{index}].{name}"), problem))?;
         }
         above(&format!("paper[{row}].mse_m2"), set.mse_m2, 0.0, 1e9)?;
         above(&format!("paper[{row}].noisy_mse_m2"), set.noisy_mse_m2, 0.0, 1e9)?;
-    }
-    Ok(())
-}
-
-/// Whether these are gains that can be driven; else the name of the first that is not, and why.
-///
-/// # Errors
-/// If a gain is not finite, negative or enormous, or Ki lies above 1, where the law's filter is unstable.
-pub fn check_gains(gains: crate::Gains) -> Result<(), (&'static str, String)> {
-    for (name, gain) in crate::Gains::NAMES.into_iter().zip(gains.to_array()) {
-        let most = if name == "ki" { 1.0 } else { 1e6 };
-        within(name, gain, 0.0, most).map_err(|(_, problem)| (name, problem))?;
     }
     Ok(())
 }
@@ -127,28 +120,86 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
 }
 
 fn grid(config: &RunConfig) -> Result<(), Problem> {
-    let grid = &config.grid;
-    for (name, axis) in ["kv", "kl", "ks", "ki"].into_iter().zip(grid.axes()) {
-        let Axis { min, max, step } = axis;
-        let key = format!("grid.{name}");
-        within(&format!("{key}.min"), min, 0.0, 1e6)?;
-        within(&format!("{key}.max"), max, 0.0, 1e6)?;
-        above(&format!("{key}.step"), step, 0.0, 1e6)?;
+    for parameter in &config.law.parameters {
+        let key = format!("grid.{}", parameter.key);
+        let Some(Axis { min, max, step }) = config.grid.get(&parameter.key).copied() else {
+            return Err((key, "is missing; give min, max and step".to_owned()));
+        };
+        within(&format!("{key}.min"), min, parameter.min, parameter.max)?;
+        within(&format!("{key}.max"), max, parameter.min, parameter.max)?;
         if max < min {
-            return Err((key, format!("is reversed: min {min} lies above max {max}")));
+            return Err((key, format!("is reversed: min {min} is above max {max}")));
         }
-        if (max - min) / step > 1e4 {
-            return Err((key, "holds more than 10000 values; take a larger step".to_owned()));
-        }
-        if name == "ki" && max > 1.0 {
-            let problem = "lies above 1, where the law's filter is unstable".to_owned();
-            return Err((format!("{key}.max"), problem));
+        let steps = match parameter.scale {
+            Scale::Linear => {
+                above(&format!("{key}.step"), step, 0.0, 1e9)?;
+                (max - min) / step
+            }
+            Scale::Log => {
+                above(&format!("{key}.step"), step, 1.0, 1e9)?;
+                libm::log(max / min) / libm::log(step)
+            }
+        };
+        if steps > 1e4 {
+            return Err((key, "holds more than 10000 values; use a larger step".to_owned()));
         }
     }
+    let known = |key: &String| config.law.keys().any(|it| it == key);
+    if let Some(key) = config.grid.keys().find(|key| !known(key)) {
+        let keys: Vec<&str> = config.law.keys().collect();
+        let problem = format!(
+            "is not a parameter of the law {}; it has {}",
+            config.law.name,
+            keys.join(", ")
+        );
+        return Err((format!("grid.{key}"), problem));
+    }
+    let grid = Grid::new(&config.law, &config.grid);
     let sets = grid.axes().iter().map(|axis| axis.len() as f64).product::<f64>();
     if sets > MAX_GRID as f64 {
-        let problem = format!("holds {sets} sets, and may hold {MAX_GRID}; take larger steps");
+        let problem =
+            format!("holds {sets} sets, but may hold at most {MAX_GRID}; use larger steps");
         return Err(("grid".to_owned(), problem));
+    }
+    Ok(())
+}
+
+/// Checks names that must be those of a preset, and what belongs to them.
+fn presets(config: &RunConfig) -> Result<(), Problem> {
+    for (key, folder, name) in [
+        ("law.name", "laws", &config.law.name),
+        ("learning.tuner", "tuners", &config.learning.tuner),
+        ("objective.name", "objectives", &config.objective.name),
+    ] {
+        let known: Vec<&str> = crate::names_in(folder).collect();
+        if !known.contains(&name.as_str()) {
+            let hint = crate::presets::hint(name, &known);
+            return Err((key.to_owned(), format!("is {name:?}, which is unknown; {hint}")));
+        }
+    }
+    law::validate(&config.law)?;
+    within("objective.cap_wheelbases", config.objective.cap_wheelbases, 0.0, 1000.0)
+}
+
+/// A scale of 0, which stands for an objective's least value in the grid, needs a grid that is driven.
+fn scales(config: &RunConfig) -> Result<(), Problem> {
+    let ticks = u128::from(config.ticks()) * config.grid().len() as u128;
+    if ticks <= u128::from(config.ranking.max_ticks) {
+        return Ok(());
+    }
+    let settings = &config.objective.settings;
+    for key in settings.0.keys() {
+        let Some(name) = key.strip_suffix("_scale") else { continue };
+        let weight = format!("{name}_weight");
+        let counts = !settings.0.contains_key(&weight) || settings.number(&weight) > 0.0;
+        if counts && settings.number(key) == 0.0 {
+            let problem = format!(
+                "is 0, which stands for the least value in the grid, but the grid takes {ticks} ticks and is driven \
+                 only up to {} (ranking.max_ticks); give a scale, or raise ranking.max_ticks",
+                config.ranking.max_ticks
+            );
+            return Err((format!("objective.settings.{key}"), problem));
+        }
     }
     Ok(())
 }
@@ -161,6 +212,16 @@ fn learning(config: &RunConfig) -> Result<(), Problem> {
     within("learning.epsilon_start", l.epsilon_start, 0.0, 1.0)?;
     above("learning.epsilon_decay_share", l.epsilon_decay_share, 0.0, 1.0)?;
     whole("learning.bins", l.bins.into(), 2, 1000)?;
+    let count = config.law.count() as i32;
+    let entries = f64::from(l.bins).powi(2) * 3f64.powi(count);
+    if entries > MAX_Q_TABLE {
+        let problem = format!(
+            "is {}: with the {count} parameters of the law {} a learner's table would hold {entries:e} entries, but \
+             may hold at most {MAX_Q_TABLE:e}; use fewer bins, or a law with fewer parameters",
+            l.bins, config.law.name
+        );
+        return Err(("learning.bins".to_owned(), problem));
+    }
     above("learning.error_high_cross_m", l.error_high_cross_m, 0.0, 100.0)?;
     above("learning.error_high_heading_rad", l.error_high_heading_rad, 0.0, 3.2)?;
     within("learning.heading_weight", l.heading_weight, 0.0, 1000.0)?;
@@ -173,10 +234,14 @@ fn run(config: &RunConfig) -> Result<(), Problem> {
         return Err(("run.alphas".to_owned(), "is empty; name at least one".to_owned()));
     }
     whole("run.alphas", run.alphas.len() as u64, 1, MAX_FLEET.into()).map_err(|(key, _)| {
-        (key, format!("holds {} values, and may hold {MAX_FLEET}", run.alphas.len()))
+        (key, format!("holds {} values, but may hold at most {MAX_FLEET}", run.alphas.len()))
     })?;
     for (index, &alpha) in run.alphas.iter().enumerate() {
         above(&format!("run.alphas[{index}]"), alpha, 0.0, 1.0)?;
+    }
+    if let Some(value) = config.tuner.settings.0.get("learners") {
+        let number = value.as_float().or(value.as_integer().map(|it| it as f64));
+        within("tuner.settings.learners", number.unwrap_or(f64::NAN), 1.0, MAX_FLEET.into())?;
     }
     whole("run.fleet", run.fleet.into(), 0, MAX_FLEET.into())
 }
@@ -236,21 +301,21 @@ fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     if v.model == VehicleModel::Dynamic { dynamic_vehicle(v) } else { Ok(()) }
 }
 
-/// What must fit together in the dynamic model, and is of no concern to the kinematic one.
+/// Checks values that must fit together in the dynamic model, but do not matter to the kinematic one.
 fn dynamic_vehicle(v: &Vehicle) -> Result<(), Problem> {
     let (front_m, rear_m) = (v.front_axle_to_cg_m, v.wheelbase_m - v.front_axle_to_cg_m);
     if rear_m <= 0.0 {
         let problem =
-            format!("is {front_m}, and must be less than the wheelbase, {}", v.wheelbase_m);
+            format!("is {front_m}, but must be less than the wheelbase, {}", v.wheelbase_m);
         return Err(("vehicle.front_axle_to_cg_m".to_owned(), problem));
     }
     let (front_npr, rear_npr) = (v.cornering_stiffness_front_npr, v.cornering_stiffness_rear_npr);
-    // An oversteering car loses its stability at this speed: it turns ever faster with no steering at all.
+    // An oversteering car becomes unstable at this speed: it turns ever faster without any steering.
     let oversteer = v.mass_kg * (front_m * front_npr - rear_m * rear_npr);
     let stiffness = front_npr * rear_npr * v.wheelbase_m * v.wheelbase_m;
     if oversteer * v.speed_limit_mps * v.speed_limit_mps >= stiffness {
         let problem = format!(
-            "is {rear_npr}, with which the car oversteers and is unstable from {:.1} m/s on; take stiffer \
+            "is {rear_npr}, with which the car oversteers and is unstable from {:.1} m/s on; use stiffer \
              rear tyres or a vehicle.speed_limit_mps below that",
             (stiffness / oversteer).sqrt()
         );
@@ -264,7 +329,7 @@ pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), P
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err((key.to_owned(), format!("is {value}, and must lie in [{low}, {high}]")))
+    Err((key.to_owned(), format!("is {value}, but must lie in [{low}, {high}]")))
 }
 
 /// `low < value <= high`; NaN is never within.
@@ -272,12 +337,12 @@ pub(crate) fn above(key: &str, value: f64, low: f64, high: f64) -> Result<(), Pr
     if value > low && value <= high {
         return Ok(());
     }
-    Err((key.to_owned(), format!("is {value}, and must lie in ({low}, {high}]")))
+    Err((key.to_owned(), format!("is {value}, but must lie in ({low}, {high}]")))
 }
 
 fn whole(key: &str, value: u64, low: u64, high: u64) -> Result<(), Problem> {
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err((key.to_owned(), format!("is {value}, and must lie in [{low}, {high}]")))
+    Err((key.to_owned(), format!("is {value}, but must lie in [{low}, {high}]")))
 }

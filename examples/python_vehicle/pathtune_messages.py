@@ -408,7 +408,7 @@ assert Proposal.plant.offset == 156, "Proposal.plant"
 class LearnerProgress(Struct):
     _fields_ = [
         ("epsilon", ctypes.c_double),
-        ("best_distance", ctypes.c_double),
+        ("best_value", ctypes.c_double),
         ("asked", ctypes.c_uint64),
         ("episode", ctypes.c_uint32),
         ("episodes", ctypes.c_uint32),
@@ -418,12 +418,12 @@ class LearnerProgress(Struct):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.LearnerProgress#eaac3176"
+        return "pathtune.LearnerProgress#9db66e06"
 
 
 assert ctypes.sizeof(LearnerProgress) == 32, "LearnerProgress"
 assert LearnerProgress.epsilon.offset == 0, "LearnerProgress.epsilon"
-assert LearnerProgress.best_distance.offset == 8, "LearnerProgress.best_distance"
+assert LearnerProgress.best_value.offset == 8, "LearnerProgress.best_value"
 assert LearnerProgress.asked.offset == 16, "LearnerProgress.asked"
 assert LearnerProgress.episode.offset == 24, "LearnerProgress.episode"
 assert LearnerProgress.episodes.offset == 28, "LearnerProgress.episodes"

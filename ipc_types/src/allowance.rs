@@ -1,16 +1,16 @@
-//! How far a vehicle in lockstep may go ahead of those who record it.
+//! How far a vehicle in lockstep may run ahead of its recorders.
 
 use crate::{Credit, DriveRequest, has};
 
-/// The ticks of a batch that its recorders allow to be published: without end, unless the batch asks for it.
+/// The ticks of a batch that its recorders allow to be published: unlimited, unless the batch is recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Allowance([(u32, u64); 2]);
 
 impl Allowance {
-    /// At the start of a batch, whose requests have these flags.
+    /// The allowance at the start of a batch with these requests.
     ///
-    /// Who records one drive asks for the next when it has the last; who records the whole run may still be
-    /// busy with the batch before, and says when it is not.
+    /// A recorder of single drives asks for the next drive only when it has the last one. A recorder of the whole run
+    /// may still be busy with the previous batch, so tick 0 waits for its first credit.
     pub fn new(requests: &[DriveRequest]) -> Self {
         let flags = requests.iter().fold(0, |flags, request| flags | request.flags);
         let of = |source, ahead| (source, if has(flags, source) { ahead } else { u64::MAX });
@@ -51,7 +51,7 @@ mod tests {
         assert!(!both.allows(Credit::AHEAD));
         both.grant(credit(DriveRequest::RECORDED, 50));
         assert!(both.allows(Credit::AHEAD + 49) && !both.allows(Credit::AHEAD + 50));
-        // What was allowed once is not taken back.
+        // What was allowed once is not revoked.
         both.grant(credit(DriveRequest::RECORDED, 1));
         assert!(both.allows(Credit::AHEAD + 49));
     }

@@ -1,6 +1,14 @@
-//! A hash over names, types and offsets of a message's fields, checked while compiling.
+//! A hash over the names, types and offsets of a message's fields, checked at compile time.
 
+/// What may lie in shared memory.
+#[cfg(feature = "transport")]
 pub use iceoryx2::prelude::ZeroCopySend;
+
+/// Stands in for the transport's trait if there is no transport: pure cores use messages as plain data.
+#[cfg(not(feature = "transport"))]
+pub trait ZeroCopySend {}
+#[cfg(not(feature = "transport"))]
+impl<M: Copy + 'static> ZeroCopySend for M {}
 
 /// One field of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,7 +26,7 @@ pub struct Field {
 pub struct Kind {
     /// Rust's name of a number (`u32`, `u64` or `f64`), or the name of a message.
     pub name: &'static str,
-    /// The length of an array; 1 if it is none.
+    /// The length of an array; 1 if it is not an array.
     pub count: usize,
     /// Bytes of one element.
     pub bytes: usize,
@@ -31,7 +39,7 @@ pub struct Kind {
 /// One plain number somewhere in a message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Number {
-    /// The field's name; those inside a message inside a message with a dot, those of an array with an index, as in
+    /// The field's name: with a dot for a field of an inner message, with an index for an element of an array, as in
     /// `report.parameters[3]`.
     pub name: String,
     /// `u32`, `u64` or `f64`.
@@ -42,7 +50,7 @@ pub struct Number {
     pub bytes: usize,
 }
 
-/// All numbers that fields consist of, in order: for who has no use for structs inside structs.
+/// All numbers of which the fields consist, in order, for uses without structs inside structs.
 pub fn numbers(fields: &[Field]) -> Vec<Number> {
     let mut all = Vec::new();
     for Field { name, kind, offset } in fields {
@@ -75,7 +83,7 @@ pub struct Constant {
 
 /// What can be written byte by byte, as it lies in memory: little endian, field after field.
 ///
-/// There is no padding that is not a field, so what is written equals the memory of a little endian machine.
+/// All padding is in explicit fields, so what is written equals the memory of a little endian machine.
 pub trait Bytes: Sized + Copy {
     /// What a field of this type is made of.
     const KIND: Kind;
@@ -83,7 +91,7 @@ pub trait Bytes: Sized + Copy {
     const ZERO: Self;
     /// Adds the value's bytes.
     fn put(&self, to: &mut Vec<u8>);
-    /// Takes a value off the front; none if there are too few bytes.
+    /// Takes a value off the front; `None` if there are too few bytes.
     fn take(from: &mut &[u8]) -> Option<Self>;
 }
 
@@ -201,9 +209,33 @@ pub const fn hex(number: u32) -> [u8; 8] {
     digits
 }
 
+/// Defines the struct of a message, for the transport or without it. It is a separate macro, because a condition inside
+/// [`message!`] would test the features of the crate that uses it.
+#[cfg(feature = "transport")]
+#[doc(hidden)]
+#[macro_export]
+macro_rules! message_struct {
+    ($type_name:literal; $($item:tt)+) => {
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+        #[type_name($type_name)]
+        $($item)+
+    };
+}
+#[cfg(not(feature = "transport"))]
+#[doc(hidden)]
+#[macro_export]
+macro_rules! message_struct {
+    ($type_name:literal; $($item:tt)+) => {
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        $($item)+
+    };
+}
+
 /// Defines a message: a plain C struct with explicit padding, a name that carries the hash of its layout,
-/// and the table of its fields. The build fails where name and layout differ, and tells the hash. The
-/// derive wants [`ZeroCopySend`] in scope.
+/// and the table of its fields. The build fails if name and layout differ, and shows the hash. The
+/// derive needs [`ZeroCopySend`] in scope.
 #[macro_export]
 macro_rules! message {
     (
@@ -213,12 +245,12 @@ macro_rules! message {
             $($(#[doc = $field_doc:literal])+ pub $field:ident: $kind:ty),+ $(,)?
         }
     ) => {
-        $(#[doc = $doc])+
-        #[repr(C)]
-        #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-        #[type_name($type_name)]
-        pub struct $name {
-            $($(#[doc = $field_doc])+ pub $field: $kind),+
+        $crate::message_struct! {
+            $type_name;
+            $(#[doc = $doc])+
+            pub struct $name {
+                $($(#[doc = $field_doc])+ pub $field: $kind),+
+            }
         }
 
         impl $name {
@@ -237,7 +269,7 @@ macro_rules! message {
                 $crate::layout::hash(Self::FIELDS, std::mem::size_of::<Self>());
         }
 
-        // Not derived: the standard library has no default of long arrays.
+        // Not derived, because the standard library has no default for long arrays.
         impl Default for $name {
             fn default() -> Self {
                 <Self as $crate::layout::Bytes>::ZERO
@@ -272,7 +304,7 @@ macro_rules! message {
             const DIGITS: [u8; 8] = $crate::layout::hex($name::LAYOUT_HASH);
             let Ok(digits) = std::str::from_utf8(&DIGITS) else { unreachable!() };
             assert!($crate::layout::name_carries($type_name, $name::LAYOUT_HASH), "{}", digits);
-            // No byte between the fields, or behind them, that nobody writes.
+            // There must be no byte between the fields, or after them, that is never written.
             let fields = 0 $(+ std::mem::size_of::<$kind>())+;
             assert!(fields == std::mem::size_of::<$name>(), "implicit padding");
         };
@@ -280,7 +312,7 @@ macro_rules! message {
 }
 pub use message;
 
-/// Defines the constants of a message, and the table of them: what other languages are told.
+/// Defines the constants of a message, and a table of them for other languages.
 macro_rules! constants {
     (
         $message:ident:
@@ -300,7 +332,7 @@ macro_rules! constants {
 }
 pub(crate) use constants;
 
-#[cfg(test)]
+#[cfg(all(test, feature = "transport"))]
 #[allow(unreachable_pub, reason = "the macro makes messages that others see")]
 mod tests {
     use super::*;

@@ -1,13 +1,13 @@
-//! The wire vocabulary: what the processes of a pipeline say to each other.
+//! The wire vocabulary: the messages that the processes of a pipeline exchange.
 //!
-//! Messages are plain C structs in shared memory, read and written in place. `CONTRACT.md` beside this
-//! crate says who sends which, when, and what it means; [`topics`] holds all topics in one table.
+//! Messages are plain C structs in shared memory, read and written in place. `CONTRACT.md` in this crate's
+//! folder says who sends which, when, and what it means; [`topics`] holds all topics in one table.
 //!
-//! A message travels as a slice, one element a vehicle (or a learner, or a slot), under one header. Lengths
+//! A message travels as a slice, with one element for each vehicle (or learner, or slot), under one header. Lengths
 //! are in metres, angles in radians, times in nanoseconds of `CLOCK_MONOTONIC`; axes follow REP-103.
 //!
-//! The transport compares types by name, size and alignment alone. Each name therefore ends in a hash of
-//! the layout, and the build fails where hash and layout differ: see [`layout`]. [`schema`] tells it all to
+//! The transport compares types only by name, size and alignment. Each name therefore ends in a hash of
+//! the layout, and the build fails if hash and layout differ: see [`layout`]. [`schema`] exports all of it to
 //! Python and C.
 
 mod allowance;
@@ -15,14 +15,14 @@ pub mod layout;
 mod messages;
 #[macro_use]
 pub mod topics;
-// Behind the topics, whose macro it uses.
+// Must come after the topics, whose macro it uses.
 pub mod schema;
 
 pub use allowance::Allowance;
 pub use messages::*;
 pub use topics::{Message, Topic, WakeRole};
 
-/// The most parameters that a law has.
+/// The largest number of parameters of a law.
 pub const MAX_PARAMETERS: usize = 16;
-/// The most numbers of a law's state.
+/// The largest number of values in a law's state.
 pub const MAX_STATE: usize = 64;

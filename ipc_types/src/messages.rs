@@ -2,7 +2,10 @@
 
 use std::cmp::Ordering;
 
-use crate::layout::{ZeroCopySend, constants, message};
+// The derive of the transport wants it in scope.
+#[cfg(feature = "transport")]
+use crate::layout::ZeroCopySend;
+use crate::layout::{constants, message};
 use crate::{MAX_PARAMETERS, MAX_STATE};
 
 /// Values of [`Odometry::status`] and of the command's flags are bits; this tests one.
@@ -226,7 +229,7 @@ message!(
         pub tick: u64,
         /// [`RawCommand::origin_m`] of the last answer.
         pub origin_m: f64,
-        /// Angle that was commanded last: the state of the law's filter.
+        /// Steering angle that was commanded last.
         pub steering_rad: f64,
         /// Commands that were changed since the start of the drive.
         pub changed: u64,
@@ -237,7 +240,7 @@ message!(
         /// The rate at which the reference's clock is to run on from here, in ticks of the clock in a tick of the
         /// vehicle: 1, or 0 while the gate slows down or stops the vehicle.
         pub clock_rate: f64,
-        /// One of [`Safety::NORMAL`] and the values behind it.
+        /// [`Safety::NORMAL`] or one of the values that follow it.
         pub state: u32,
         /// Bits of what is wrong now, or was when the vehicle was stopped.
         pub reasons: u32,
@@ -330,7 +333,7 @@ message!(
         pub heading_rad: f64,
         /// Progress of the reference along the path.
         pub reference_along_m: f64,
-        /// Distance of the measured pose from the nearest point of the path; never negative.
+        /// Distance of the true pose, or of the measured one if no truth is known, from the nearest point of the path.
         pub path_distance_m: f64,
     }
 );
@@ -380,7 +383,7 @@ constants!(
     Credit:
     /// A vehicle in lockstep publishes tick k of a recorded batch only when `ticks + AHEAD > k`, for the newest
     /// credit of each recorder that the batch's flags ask for. Half of an observer's buffer: nothing is lost,
-    /// and nobody waits while the recorders keep up.
+    /// and the vehicle does not wait as long as the recorders keep up.
     pub const AHEAD: u64 = crate::topics::OBSERVER_BUFFER as u64 / 2;
 );
 
@@ -439,7 +442,7 @@ constants!(
     DriveRequest:
     /// The measured pose is to carry noise.
     pub const NOISE: u32 = 1;
-    /// The parameters change with the zone: the controller awaits a [`GainSwitch`] behind each [`Zone`].
+    /// The parameters change with the zone: after each [`Zone`] the controller waits for a [`GainSwitch`].
     pub const SCHEDULED: u32 = 2;
     /// The drive is recorded without a gap by whoever asked for it: a vehicle in lockstep waits for the
     /// trainer's [`Credit`].
@@ -447,8 +450,8 @@ constants!(
     /// The whole run is recorded without a gap: a vehicle in lockstep waits for the recorder's [`Credit`], tick 0
     /// included.
     pub const LOGGED: u32 = 8;
-    /// The vehicle paces by the clock: nobody waits for anybody, answers grow old, and a restarted process joins the
-    /// drive under way.
+    /// The vehicle paces by the clock: no process waits for another, answers can be too old, and a restarted process
+    /// joins the drive under way.
     pub const REAL_TIME: u32 = 16;
 );
 
@@ -528,12 +531,12 @@ message!(
 
 message!(
     /// Where one learner stands. Sent by the trainer, one a learner.
-    #[name = "pathtune.LearnerProgress#eaac3176"]
+    #[name = "pathtune.LearnerProgress#9db66e06"]
     pub struct LearnerProgress {
         /// Exploration rate of the current episode.
         pub epsilon: f64,
-        /// Least distance to the goal so far; infinite before the first drive.
-        pub best_distance: f64,
+        /// Least value of the objective so far; infinite before the first drive.
+        pub best_value: f64,
         /// Drives asked for.
         pub asked: u64,
         /// The current episode, counted from 0; what is done of something else, as the header's flags say.
@@ -565,7 +568,7 @@ message!(
         pub dropped: u64,
         /// Samples that were not finite or out of range, and were rejected.
         pub rejected: u64,
-        /// Samples that came too late in real time: odometry that nobody answered, answers and commands beyond
+        /// Samples that came too late in real time: odometry that was not answered, answers and commands beyond
         /// their age limit, ticks driven before their zone's parameters had come.
         pub late: u64,
         /// The role: one of the values below.

@@ -1,8 +1,6 @@
-//! All topics in one table: name, who sends, who is woken, how much is kept.
+//! All topics in one table: their names, who sends, who is woken, and how much is kept.
 
-use iceoryx2::prelude::ZeroCopySend;
-
-use crate::layout::Layout;
+use crate::layout::{Layout, ZeroCopySend};
 use crate::{
     BatchHeader, Command, Credit, DriveOutcome, DriveReport, DriveRequest, GainSwitch,
     KeptLawState, LawState, LearnerProgress, Odometry, Proposal, RawCommand, Rearm, Safety, Status,
@@ -48,9 +46,9 @@ impl WakeRole {
 /// Who sends the messages of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Senders {
-    /// Whoever fills one of these roles.
+    /// The process in one of these roles.
     Roles(&'static [WakeRole]),
-    /// `pathtune rearm`, on somebody's behalf.
+    /// `pathtune rearm`, on behalf of a user.
     Rearm,
     /// Every process of the run.
     Everybody,
@@ -63,29 +61,29 @@ pub struct Topic {
     pub name: &'static str,
     /// Who sends its messages.
     pub senders: Senders,
-    /// Who is woken by a message, in this order: the scheduler runs them in it.
+    /// Who is woken by a message, in this order, in which the scheduler then runs them.
     pub wakes: &'static [WakeRole],
-    /// Messages that a late subscriber is given.
+    /// How many messages a late subscriber receives.
     pub history: usize,
-    /// Messages that a participant's buffer holds.
+    /// How many messages a participant's buffer holds.
     pub buffer: usize,
-    /// Publishers at a time.
+    /// The largest number of publishers at a time.
     pub publishers: usize,
 }
 
 /// A message with its topic.
 pub trait Message: ZeroCopySend + Layout + Copy + Default + std::fmt::Debug + 'static {
-    /// What each message carries beside its elements.
+    /// What each message carries in addition to its elements.
     type Header: ZeroCopySend + Layout + Copy + Default + std::fmt::Debug + 'static;
     /// The topic.
     const TOPIC: Topic;
 }
 
-/// Buffer of an observer: what it may lag behind without a loss.
+/// Buffer of an observer: how many messages it may lag behind without a loss.
 pub const OBSERVER_BUFFER: usize = 1024;
-/// Subscribers of a topic, observers included.
+/// The largest number of subscribers of a topic, including observers.
 pub const MAX_SUBSCRIBERS: usize = 32;
-/// Nodes of a run, dead ones that wait for their clean-up included.
+/// The largest number of nodes of a run, including dead ones that have not been cleaned up yet.
 pub const MAX_NODES: usize = 64;
 
 macro_rules! topics {
@@ -141,17 +139,17 @@ topics! {
         wakes &[Orchestrator], history 1, buffer 2, publishers 1;
     LearnerProgress, BatchHeader, "learner_progress", from Roles(&[Trainer]),
         wakes &[], history 1, buffer 2, publishers 1;
-    // The gate's state and its way back.
+    // The gate's state, and the way back to normal.
     Safety, BatchHeader, "safety", from Roles(&[Supervisor]),
         wakes &[Controller], history 1, buffer 16, publishers 1;
-    // By the clock alone: what a law must not lose when its process is replaced.
+    // Only when driving by the clock: the state that a law must not lose when its process is replaced.
     LawState, BatchHeader, "law_state", from Roles(&[Controller]),
         wakes &[], history 0, buffer 2, publishers 1;
     KeptLawState, BatchHeader, "kept_law_state", from Roles(&[Supervisor]),
         wakes &[], history 1, buffer 2, publishers 1;
     Rearm, BatchHeader, "rearm", from RearmCommand,
         wakes &[Supervisor], history 0, buffer 2, publishers 16;
-    // From everybody; a dead publisher's place is free again only when it was cleaned up.
+    // From every process; the place of a dead publisher is free again only after the clean-up.
     Status, BatchHeader, "status", from Everybody,
         wakes &[Orchestrator], history 1, buffer 64, publishers 16;
 }
@@ -202,6 +200,6 @@ mod tests {
             };
         }
         for_each_topic!(check);
-        assert_eq!(rows.len(), topics, "the contract tells of topics that are none");
+        assert_eq!(rows.len(), topics, "the contract lists topics that do not exist");
     }
 }

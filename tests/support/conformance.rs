@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::Sandbox;
 
 /// Says to the broken vehicle what is broken.
-pub const FAULT: &str = "PATHTUNE_TEST_FAULT";
+pub const FAULT: &str = "VEHICLE_TEST_FAULT";
 
 /// What a run of the checks has found: the exit code, and the ids of those that failed.
 pub fn failed(

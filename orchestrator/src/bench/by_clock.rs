@@ -1,5 +1,5 @@
-//! Driving at 100 Hz: how long odometry takes to become a command that is applied, and what is lost, on a quiet machine
-//! and beside a load on all cores.
+//! Driving at 100 Hz: how long it takes from odometry to the applied command, and what is lost, on a quiet machine and
+//! with a load on all cores.
 
 use std::io::Read;
 use std::os::unix::process::CommandExt;
@@ -15,42 +15,42 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::rings::Killed;
-use crate::commands::housekeeping::RunState;
+use crate::runs::state::RunState;
 use crate::words::Failure;
 use crate::words::tables::table_of;
 use crate::words::terminal::{say, tell};
 
-/// Ticks before a drive is looked at: the processes have just started.
+/// Time before a drive is measured: the processes have just started.
 const SETTLING: Duration = Duration::from_secs(1);
 
 /// How it is driven.
 #[derive(Debug, Clone, Copy)]
-struct Subject {
+struct Condition {
     name: &'static str,
     loaded: bool,
     fifo: bool,
 }
 
-const SUBJECTS: [Subject; 4] = [
-    Subject { name: "realtime", loaded: false, fifo: false },
-    Subject { name: "realtime/loaded", loaded: true, fifo: false },
-    Subject { name: "realtime/fifo", loaded: false, fifo: true },
-    Subject { name: "realtime/fifo/loaded", loaded: true, fifo: true },
+const CONDITIONS: [Condition; 4] = [
+    Condition { name: "realtime", loaded: false, fifo: false },
+    Condition { name: "realtime/loaded", loaded: true, fifo: false },
+    Condition { name: "realtime/fifo", loaded: false, fifo: true },
+    Condition { name: "realtime/fifo/loaded", loaded: true, fifo: true },
 ];
 
-/// Measures each, prints a table.
+/// Measures under each condition, and prints a table.
 pub(super) fn bench(time: Duration, as_json: bool) -> Result<(), Failure> {
     let mut rows = Vec::new();
-    for subject in SUBJECTS {
+    for condition in CONDITIONS {
         if !as_json {
-            tell!("{}: {} s", subject.name, time.as_secs_f64());
+            tell!("{}: {} s", condition.name, time.as_secs_f64());
         }
-        rows.push((subject.name, measure(subject, time)?));
+        rows.push((condition.name, measure(condition, time)?));
     }
     let hop = |report: &Value, key: &str| report["hops"]["end_to_end"][key].as_u64().unwrap_or(0);
     let ticks = |report: &Value| {
         let count = |key: &str| report[key].as_u64().unwrap_or(0);
-        // The first tick's odometry tells of no command.
+        // The odometry of the first tick does not report a command.
         let driven = count("ticks") + count("missed");
         (driven, driven.saturating_sub(1).saturating_sub(hop(report, "n")))
     };
@@ -86,17 +86,17 @@ pub(super) fn bench(time: Duration, as_json: bool) -> Result<(), Failure> {
     }
     say!("{table}");
     say!(
-        "end to end: odometry published to command applied; lost: ticks that went by without a command of their own; \
+        "end to end: odometry published to command applied; lost: ticks that passed without a command of their own; \
          loaded: a busy thread on each core; fifo: --fifo, where it is allowed"
     );
     Ok(())
 }
 
-/// The monitor's report over a drive by the clock.
-fn measure(subject: Subject, time: Duration) -> Result<Value> {
+/// The monitor's report on a drive by the clock.
+fn measure(condition: Condition, time: Duration) -> Result<Value> {
     let folder = tempfile::tempdir()?;
-    let load = subject.loaded.then(Load::new);
-    let drive = Drive::start(subject, &folder, time)?;
+    let load = condition.loaded.then(Load::new);
+    let drive = Drive::start(condition, &folder, time)?;
     let run = drive.run()?;
     thread::sleep(SETTLING);
     let mut monitor = Killed(
@@ -119,7 +119,7 @@ fn measure(subject: Subject, time: Duration) -> Result<Value> {
 struct Drive(Child);
 
 impl Drive {
-    fn start(subject: Subject, folder: &TempDir, time: Duration) -> Result<Self> {
+    fn start(condition: Condition, folder: &TempDir, time: Duration) -> Result<Self> {
         let loop_s = time.as_secs() + 60;
         let child = Command::new("/proc/self/exe")
             .arg0("pathtune")
@@ -128,7 +128,7 @@ impl Drive {
             .args(["--set", &format!("drive.loop_time_s={loop_s}")])
             // A circle without an end.
             .args(["--set", "path.pieces=[{kind='arc',radius_m=100.0,angle_deg=3600.0}]"])
-            .args(subject.fifo.then_some("--fifo"))
+            .args(condition.fifo.then_some("--fifo"))
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -137,7 +137,7 @@ impl Drive {
         Ok(Self(child))
     }
 
-    /// Waits until it drives; its number.
+    /// Waits until it drives; returns the run's number.
     fn run(&self) -> Result<String> {
         let until = Instant::now() + Duration::from_secs(20);
         loop {
@@ -158,7 +158,7 @@ impl Drop for Drive {
     }
 }
 
-/// A busy thread for each core.
+/// A load of one busy thread for each core.
 struct Load {
     stop: Arc<AtomicBool>,
     threads: Vec<thread::JoinHandle<()>>,

@@ -1,11 +1,11 @@
-//! `pathtune bench`: what a tick of the pipeline costs, beside rings that only pass its bytes around, and beside plain
-//! calls. All of it in one run, in turn, because machines differ from minute to minute.
+//! `pathtune bench`: what a tick of the pipeline costs, compared with rings that only pass its bytes around, and with
+//! plain calls. All are measured by turns in one run, because a machine's speed differs from minute to minute.
 
 mod by_clock;
 mod pipelines;
 mod rings;
 
-use config::{Gains, Layers};
+use config::Layers;
 use serde_json::{Value, json};
 
 use self::pipelines::{pipeline, pipelines, waiting};
@@ -15,29 +15,29 @@ use crate::words::Failure;
 use crate::words::tables::table_of;
 use crate::words::terminal::{say, tell};
 
-/// What all of them drive, plain calls as well: a tick costs more where the path is curved. Drives of half a minute, such
-/// that what lies between them hardly counts.
+/// The manoeuvre that all of them drive, plain calls as well: a tick costs more where the path is curved. Its drives
+/// last half a minute, so that the time between drives hardly counts.
 pub const MANEUVER: &str = "roundabout";
 
-/// Settings of a grid of so many gain sets, a power of two from 16 on, spread over all of the manoeuvre's: what a tick
-/// costs hangs on the gains, too.
+/// Settings of a grid of `sets` sets (a power of two, with at least one doubling for each parameter), spread over the
+/// whole grid of the manoeuvre: the cost of a tick depends on the gains, too.
 ///
 /// # Errors
 /// None: the presets are sound.
 pub fn spread(sets: usize) -> anyhow::Result<Vec<String>> {
-    let grid = Layers::maneuver(MANEUVER)?.resolve()?.grid;
+    let config = Layers::maneuver(MANEUVER)?.resolve()?;
     // Each doubling goes to another axis.
-    let mut counts = [1; 4];
+    let mut counts = vec![1; config.law.count()];
     for doubling in 0..sets.ilog2() as usize {
-        counts[doubling % 4] *= 2;
+        let axes = counts.len();
+        counts[doubling % axes] *= 2;
     }
-    let axes = Gains::NAMES.iter().zip(grid.axes()).zip(counts);
-    Ok(axes
-        .map(|((name, axis), count)| {
-            let step = (axis.max - axis.min) / (count - 1) as f64;
-            format!("grid.{name}.step={step:?}")
-        })
-        .collect())
+    let steps = config.law.keys().zip(counts).map(|(key, count)| {
+        let axis = config.grid[key];
+        let step = (axis.max - axis.min) / (count - 1) as f64;
+        format!("grid.{key}.step={step:?}")
+    });
+    Ok(steps.collect())
 }
 
 /// Nanoseconds a tick.
@@ -49,12 +49,12 @@ struct Timing {
 }
 
 impl Timing {
-    /// As a process tells it: mean, median, 99th percentile.
+    /// As a process prints it: mean, median, 99th percentile.
     fn parse(text: &str) -> anyhow::Result<Self> {
         let numbers: Vec<f64> =
             text.split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
         let [tick_ns, p50_ns, p99_ns] = numbers[..] else {
-            anyhow::bail!("a measured process told {text:?}");
+            anyhow::bail!("a measured process printed {text:?}");
         };
         Ok(Self { tick_ns, p50_ns, p99_ns })
     }
@@ -65,7 +65,7 @@ impl Timing {
     }
 }
 
-/// What is measured: a row of the table.
+/// What is measured, as a row of the table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Subject {
     Ring(Transport, usize),
@@ -104,7 +104,7 @@ impl Subject {
             Subject::Calls => calls(),
             Subject::Pipeline(fleet) => pipeline(fleet, 0),
             Subject::Observers(count) => pipeline(1, count),
-            // As if they were one, so that it compares with one.
+            // As if they were one pipeline, to compare with one.
             Subject::Pipelines(count, fleet) => {
                 Ok(Timing::of_mean(1e9 * fleet as f64 / pipelines(count, fleet)?))
             }
@@ -112,7 +112,7 @@ impl Subject {
     }
 }
 
-/// Every row, what belongs together in turn.
+/// Every row; rows that belong together follow each other.
 fn subjects() -> Vec<Subject> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let mut subjects = vec![Subject::Calls];
@@ -129,7 +129,7 @@ fn subjects() -> Vec<Subject> {
 ///
 /// # Errors
 /// If a pipeline cannot be kept alive.
-pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
+pub(crate) fn bench(args: &BenchArgs) -> Result<(), Failure> {
     if let Some(time) = args.realtime {
         return by_clock::bench(time, args.json);
     }
@@ -139,7 +139,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
     }
     if subjects.is_empty() {
         let names: Vec<String> = self::subjects().iter().map(|it| it.name()).collect();
-        let why = format!("--only: no row begins like this; there are {}", names.join(", "));
+        let why = format!("--only: no row begins with this; there are {}", names.join(", "));
         return Err(Failure::User(why));
     }
     let mut rounds: Vec<Vec<Timing>> = vec![Vec::new(); subjects.len()];
@@ -161,7 +161,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
         };
     }
     if !args.json {
-        tell!("waiting behind a slow vehicle");
+        tell!("waiting for a slow vehicle");
     }
     let (waiting, start_up) = waiting()?;
     if args.json {
@@ -180,8 +180,12 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
         return print_json(&rows, json!({ "processes": processes, "start_up_ms": start_up_ms }));
     }
     print_rows(&rows, args.rounds)?;
-    let mut table =
-        table_of(&["behind a vehicle of 10 ms a tick", "% of a core", "RSS MiB", "of it shared"]);
+    let mut table = table_of(&[
+        "waiting for a vehicle of 10 ms a tick",
+        "% of a core",
+        "RSS MiB",
+        "of it shared",
+    ]);
     for process in waiting {
         let mib = |bytes: u64| format!("{:.1}", bytes as f64 / f64::from(1 << 20));
         table.add_row([
@@ -192,7 +196,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), Failure> {
         ]);
     }
     say!("\n{table}");
-    say!("from the start of a pipeline to its first drive {:.0} ms", start_up.as_secs_f64() * 1e3);
+    say!("from the start of a pipeline to its first drive: {:.0} ms", start_up.as_secs_f64() * 1e3);
     Ok(())
 }
 

@@ -1,4 +1,4 @@
-//! Whole pipelines under measurement: alone, beside each other, watched, and waiting.
+//! Measures whole pipelines: one alone, several at once, observed, and waiting.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -8,16 +8,16 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use outcome::RunResult;
 use runtime::periods::FILE_VARIABLE;
 use rustix::process::{Pid, Signal, kill_process};
-use serde_json::Value;
 use tempfile::TempDir;
 
 use super::rings::Killed;
 use super::{MANEUVER, Timing, spread};
-use crate::commands::housekeeping::RunState;
+use crate::runs::state::RunState;
 
-/// A pipeline that makes nothing but ticks: the sets of a grid, one drive each.
+/// A pipeline that does nothing but drive: the sets of a grid, one drive each.
 struct Sweep {
     orchestrator: Child,
     folder: TempDir,
@@ -26,7 +26,7 @@ struct Sweep {
 /// Name of the file with the times of a pipeline's ticks.
 const TICK_TIMES: &str = "tick_times";
 
-/// As many drives as take about a second, and no seat of the fleet is left empty.
+/// As many drives as take about a second and leave no place in the fleet empty.
 fn drives_of(fleet: usize) -> usize {
     match fleet {
         0..=3 => 32,
@@ -43,7 +43,7 @@ impl Sweep {
             .arg0("pathtune")
             .args(["grid", MANEUVER])
             .args(spread(drives_of(fleet))?.iter().flat_map(|it| ["--set", it]))
-            // As the rings do, whatever the machine would allow.
+            // Wait as the rings do, whatever else the machine would allow.
             .args(["--wait", "yield", "--fleet", &fleet.to_string(), "--json", "--out"])
             .arg(folder.path().join("run"))
             .args(more)
@@ -60,7 +60,7 @@ impl Sweep {
         self.orchestrator.id()
     }
 
-    /// Waits until the run drives; its number.
+    /// Waits until the run drives; returns its number.
     fn run(&mut self) -> Result<String> {
         let until = Instant::now() + Duration::from_secs(10);
         loop {
@@ -74,27 +74,27 @@ impl Sweep {
         }
     }
 
-    /// Nanoseconds a tick, once it has ended.
+    /// Nanoseconds per tick, once the pipeline has ended.
     fn tick_ns(&mut self) -> Result<f64> {
         let mut text = String::new();
         let mut output = self.orchestrator.stdout.take().context("no output")?;
         output.read_to_string(&mut text)?;
         let folder = self.folder.path().display();
         ensure!(self.orchestrator.wait()?.success(), "a pipeline failed in {folder}");
-        let result: Value = serde_json::from_str(&text)?;
-        result["tick_ns"].as_f64().context("a result without tick_ns")
+        let result: RunResult = serde_json::from_str(&text)?;
+        Ok(result.run.tick_ns)
     }
 }
 
 impl Drop for Sweep {
     fn drop(&mut self) {
-        // In order: a killed one would leave its shared memory to the next run.
+        // Stopped in order: if killed, it would leave its shared memory for the next run to remove.
         let _ = kill_process(Pid::from_child(&self.orchestrator), Signal::INT);
         let _ = self.orchestrator.wait();
     }
 }
 
-/// A tick of one pipeline with so many monitors attached.
+/// A tick of one pipeline with the given number of monitors attached.
 pub(super) fn pipeline(fleet: usize, monitors: usize) -> Result<Timing> {
     let mut sweep = Sweep::start(fleet, &[])?;
     let mut watching = Vec::new();
@@ -140,8 +140,8 @@ pub(super) struct Waiting {
     pub(super) shared_bytes: u64,
 }
 
-/// What the processes of a pipeline burn and hold while they wait for a slow vehicle, and the time from the
-/// start of a pipeline to its first drive.
+/// How much processor time and memory the processes of a pipeline use while they wait for a slow vehicle, and the time
+/// from the start of a pipeline to its first drive.
 pub(super) fn waiting() -> Result<(Vec<Waiting>, Duration)> {
     let started = Instant::now();
     let mut sweep = Sweep::start(1, &["--chaos", "delay odometry 10ms"])?;
@@ -173,7 +173,7 @@ fn cpu_times(orchestrator: u32) -> BTreeMap<u32, (String, u64)> {
         .filter_map(|entry| {
             let pid: u32 = entry.file_name().to_str()?.parse().ok()?;
             let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
-            // Behind the name, which may hold anything: state, parent, …, user and system time.
+            // After the name, which may contain anything: state, parent, …, user and system time.
             let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
             let parent: u32 = fields.get(1)?.parse().ok()?;
             let ticks =

@@ -20,7 +20,7 @@ const ROUNDS: u64 = 50_000;
 /// What the messages of a ring travel over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Transport {
-    /// The pipeline's own.
+    /// The transport of the pipeline.
     SharedMemory,
     /// Anonymous pipes.
     Pipe,
@@ -51,11 +51,12 @@ fn ring_on(names: &RunNames, transport: Transport, fleet: usize) -> Result<Timin
     };
     let rounds = ROUNDS.to_string();
     let start = |service: &str, hop: &[&str], input: Stdio, output: Stdio| -> Result<Killed> {
-        let child = Command::new("/proc/self/exe")
+        let mut command = Command::new("/proc/self/exe");
+        attachment.give_to(&mut command);
+        let child = command
             .arg0("pathtune")
             .args(["service", service])
             .args(hop)
-            .envs(attachment.to_env())
             .process_group(0)
             .stdin(input)
             .stdout(output)
@@ -68,7 +69,7 @@ fn ring_on(names: &RunNames, transport: Transport, fleet: usize) -> Result<Timin
         let _bus = Bus::create(names, fleet)?;
         let none = || (Stdio::null(), Stdio::null());
         let start = |hop: &[&str]| start("ring", hop, none().0, none().1);
-        // The first of the ring last, and a moment later: the others' ports are there by then.
+        // The first process of the ring starts last, and a moment later: by then the ports of the others exist.
         let _others = [start(&["second"])?, start(&["third"])?];
         std::thread::sleep(Duration::from_millis(50));
         return start(&first)?.timing();
@@ -84,7 +85,7 @@ fn ring_on(names: &RunNames, transport: Transport, fleet: usize) -> Result<Timin
 }
 
 impl Transport {
-    /// The two ends of a link: where it is written, and where it is read.
+    /// The two ends of a link: the end for writing, and the end for reading.
     fn link(self) -> Result<(OwnedFd, OwnedFd)> {
         if self == Transport::UnixSocket {
             let (one, other) = UnixStream::pair()?;
@@ -95,7 +96,7 @@ impl Transport {
     }
 }
 
-/// A tick of one vehicle by plain calls, in a process of its own: this one links no service.
+/// A tick of one vehicle by plain calls, in a process of its own, because this crate links no service.
 pub(super) fn calls() -> Result<Timing> {
     let child = Command::new("/proc/self/exe")
         .arg0("pathtune")
@@ -107,11 +108,11 @@ pub(super) fn calls() -> Result<Timing> {
     Killed(child).timing()
 }
 
-/// A process that is gone when this is dropped.
+/// A process that is killed when this is dropped.
 pub(super) struct Killed(pub(super) Child);
 
 impl Killed {
-    /// What the process prints at its end.
+    /// The timing that the process prints at its end.
     fn timing(mut self) -> Result<Timing> {
         let mut text = String::new();
         self.0.stderr.take().context("no output")?.read_to_string(&mut text)?;

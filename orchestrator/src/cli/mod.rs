@@ -1,12 +1,15 @@
 //! The command line.
 
+mod time;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-/// Tunes a path-tracking controller by reinforcement learning, as separate processes over shared memory.
+/// Tunes a path-tracking controller by reinforcement learning, in separate processes that communicate over shared
+/// memory.
 #[derive(Debug, Parser)]
 #[command(name = "pathtune", version, arg_required_else_help = true)]
 pub struct Cli {
@@ -18,34 +21,34 @@ pub struct Cli {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Train a manoeuvre to its end, and say how good the gains are
+    /// Run a training for a manoeuvre to its end, and report how good the gains are
     Train(Box<TrainArgs>),
-    /// Drive gain sets without noise and with it, beside the paper's figures
+    /// Drive gain sets without noise and with it, and show the results next to the paper's figures
     Validate(Box<ValidateArgs>),
-    /// Drive once with given gains: in lockstep, or in real time with our simulator or a vehicle of yours
+    /// Drive once with given gains: in lockstep, or in real time with our simulator or your own vehicle
     Drive(Box<DriveArgs>),
     /// Let a vehicle that was stopped drive again, from where it stands
     Rearm {
-        /// The start of the run's number, or its folder; may be left out if there is only one
+        /// The run: the beginning of its number, or its folder; may be left out if there is only one
         run: Option<String>,
-        /// Slot of the fleet [default: all that are stopped]
+        /// The vehicle's slot in the fleet [default: all stopped vehicles]
         #[arg(long, value_name = "I")]
         vehicle: Option<u32>,
     },
-    /// Drive every gain set of the grid: the best, how flat the optimum is, which gain matters
+    /// Drive every gain set of the grid, and report the best, how flat the optimum is, and which gain matters
     Grid(Box<GridArgs>),
-    /// Draw a run: one HTML page, and its pictures as SVG files
+    /// Draw a report of a run: one HTML page, and its pictures as SVG files
     Report {
         /// The run's folder
         run: PathBuf,
     },
-    /// Record a living run into an MCAP file, from now on; `--record` of train, validate and grid records all of it
+    /// Record a living run into an MCAP file from now on; to record a run from its first tick, start it with `--record`
     Record(RecordArgs),
     /// Drive a recording again, and say where the answers differ from the recorded ones
     Replay(ReplayArgs),
-    /// Measure what a tick costs, beside a bare ring of the same bytes
+    /// Measure what a tick costs, compared with a bare ring that passes on the same bytes
     Bench(BenchArgs),
-    /// Look into a living run: how long each hop takes, how regular the ticks are
+    /// Watch a living run: how long each hop takes, and how regular the ticks are
     Monitor(MonitorArgs),
     /// List the living runs
     Status {
@@ -55,17 +58,17 @@ pub enum Command {
     },
     /// Stop a living run
     Stop {
-        /// The start of its number, or its folder; may be left out if there is only one
+        /// The run: the beginning of its number, or its folder; may be left out if there is only one
         run: Option<String>,
     },
-    /// Print the ends of a run's logs
+    /// Print the last lines of a run's logs
     Logs {
-        /// The start of a living run's number, or a folder; may be left out if there is only one
+        /// The beginning of a living run's number, or a folder; may be left out if there is only one run
         run: Option<String>,
-        /// Only of this process
+        /// Print only the log of this process
         #[arg(long, value_name = "NAME")]
         process: Option<String>,
-        /// Lines of each
+        /// Number of lines from each log
         #[arg(long, value_name = "N", default_value_t = 20)]
         lines: usize,
     },
@@ -75,28 +78,30 @@ pub enum Command {
         #[arg(long)]
         dry_run: bool,
     },
-    /// Check what a run needs of this machine, and say what to do
+    /// Check whether this machine has what a run needs, and say what to do if not
     Doctor {
         /// Print the findings as JSON
         #[arg(long)]
         json: bool,
     },
-    /// Show or write the presets
+    /// List, print or write the presets
     #[command(subcommand)]
     Config(ConfigCommand),
     /// Check that a program can fill the vehicle's role
     Conformance(Box<ConformanceArgs>),
-    /// Print the messages and topics for a process in another language
+    /// Print the messages and topics for a process in another language, or the schema of result.json
     Schema(SchemaArgs),
-    /// The gains in a vehicle's file: bring those of a training there, and back
+    /// Manage the gains in a vehicle's file: promote those of a training, or roll back
     #[command(subcommand)]
     Gains(GainsCommand),
     /// A process of a pipeline; started by the orchestrator, not by hand
     #[command(hide = true)]
     Service {
-        /// Which one.
-        #[command(subcommand)]
-        service: ServiceCommand,
+        /// Its name
+        name: String,
+        /// Its arguments
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        words: Vec<String>,
     },
 }
 
@@ -106,25 +111,27 @@ pub enum Command {
   pathtune train lane_change
   pathtune train roundabout --seed 7 --alphas 0.1,0.5 --out runs/mine
   pathtune train lane_change --set learning.gamma=0.8 --json
+  pathtune train lane_change --tuner q --objective path
   pathtune train --path slalom.csv --noise
   pathtune train lane_change --replace vehicle='python3 my_vehicle.py'")]
 pub struct TrainArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// Go on with a training that was stopped or killed, to the same result
+    /// Resume a training that was stopped or killed; it comes to the same result as if left alone
     #[arg(
         long,
         value_name = "DIR",
         conflicts_with_all = [
-            "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "tuner", "out",
+            "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "law", "objective",
+            "tuner", "out",
             "config", "set", "launch", "replace", "path", "vehicle", "record", "record_split",
         ]
     )]
     pub resume: Option<PathBuf>,
-    /// Learning rates, one learner each, in (0, 1]
+    /// Learning rates in (0, 1], with one learner for each
     #[arg(long, value_delimiter = ',', value_name = "A,B,…", allow_negative_numbers = true)]
     pub alphas: Option<Vec<f64>>,
-    /// Every random choice derives from it
+    /// Seed from which every random choice derives
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     pub seed: Option<u64>,
     /// Episodes of each learner [default: the manoeuvre's]
@@ -133,13 +140,13 @@ pub struct TrainArgs {
     /// Put noise on the odometry
     #[arg(long)]
     pub noise: bool,
-    /// Drive again what was driven before; changes no result
+    /// Repeat drives that were made before instead of remembering them; does not change the result
     #[arg(long)]
     pub no_memo: bool,
-    /// Who tunes [default: educated-q]
-    #[arg(long, value_enum)]
-    pub tuner: Option<TunerArg>,
-    /// What every run can be told.
+    /// The tuner: a preset; `pathtune config list` lists them [default: educated-q]
+    #[arg(long, value_name = "NAME")]
+    pub tuner: Option<String>,
+    /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,
 }
@@ -155,13 +162,14 @@ pub struct TrainArgs {
 pub struct ValidateArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// Gains instead of the paper's; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84; repeatable
-    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    /// Gains to drive instead of the paper's: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; for a path
+    /// with several manoeuvres, one set for each, as in 3,21,21,0.7/3.4,21,1,0.84; repeatable
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Vec<String>,
     /// Noisy drives of each set, with the noise seeds 1, 2, …
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=10_000))]
     pub repeats: u32,
-    /// What every run can be told.
+    /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,
 }
@@ -177,22 +185,26 @@ pub struct ValidateArgs {
 pub struct DriveArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// The gains; for a path with several manoeuvres a set for each, as in 3,21,21,0.7/3.4,21,1,0.84 [default: those promoted to the vehicle, or the paper's]
-    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    /// The gains: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; for a path with several manoeuvres, one
+    /// set for each, as in 3,21,21,0.7/3.4,21,1,0.84 [default: those promoted to the vehicle, or the paper's, or
+    /// another law's defaults]
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Option<String>,
-    /// The gains that a training has found; for a path with several manoeuvres a training of each; repeatable
+    /// Use the gains that a training has found; for a path with several manoeuvres, give one training for each;
+    /// repeatable
     #[arg(long, value_name = "RUN", conflicts_with = "gains")]
     pub from: Vec<PathBuf>,
-    /// By the clock: the vehicle publishes every tick and waits for nobody, late answers are late, and a restarted process joins
+    /// Drive by the clock: the vehicle publishes every tick without waiting for answers, late answers are not made up
+    /// for, and a restarted process joins the drive under way
     #[arg(long)]
     pub realtime: bool,
     /// Put noise on the odometry of our simulator
     #[arg(long)]
     pub noise: bool,
-    /// One of our adapters instead of the simulator: ros2-vehicle; implies --realtime
+    /// Use one of our adapters instead of the simulator: ros2-vehicle; implies --realtime
     #[arg(long, value_name = "SERVICE", conflicts_with = "replace")]
     pub adapter: Option<String>,
-    /// What every run can be told.
+    /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,
 }
@@ -205,10 +217,10 @@ pub struct DriveArgs {
 pub struct GridArgs {
     /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// Gains to be ranked among those of the grid; repeatable
-    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    /// Gains to rank among those of the grid: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; repeatable
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Vec<String>,
-    /// What every run can be told.
+    /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,
 }
@@ -216,40 +228,51 @@ pub struct GridArgs {
 /// Options of every command that runs a pipeline.
 #[derive(Debug, Args)]
 pub struct SetupArgs {
-    /// A path of your own: CSV with x_m,y_m and perhaps v_mps, or a raceline with ';'; a TOML file beside it may hold zones
+    /// A path of your own: a CSV file with the columns x_m,y_m and optionally v_mps, or a raceline separated by ';'; a
+    /// TOML file next to it may hold zones
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
-    /// A vehicle: a preset, or a file on top of the default one
+    /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,
-    /// Vehicles that drive in the same tick; changes no result [default: one a learner, or as many as there is to drive]
+    /// The control law: a preset, or a file that overrides keys of one; `pathtune config list` lists the presets
+    /// [default: paper]
+    #[arg(long, value_name = "NAME|FILE")]
+    pub law: Option<String>,
+    /// The objective by which drives are judged, smaller being better: a preset; `pathtune config list` lists them
+    /// [default: distance]
+    #[arg(long, value_name = "NAME")]
+    pub objective: Option<String>,
+    /// Number of vehicles that drive in the same tick; does not change the result [default: one per learner, or as many
+    /// as there are drives]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=256))]
     pub fleet: Option<u32>,
     /// Folder for configuration, journal, logs and result [default: runs/MANEUVER-TIME]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// TOML file on top of the presets
+    /// TOML file that overrides keys of the presets
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// One key on top of everything, as in --set learning.gamma=0.8; repeatable
+    /// Set one key, overriding everything else, as in --set learning.gamma=0.8; repeatable
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Launch file: which processes make up the pipeline
+    /// Launch file: lists the processes that make up the pipeline
     #[arg(long, value_name = "FILE")]
     pub launch: Option<PathBuf>,
-    /// A program of yours in a role (vehicle, supervisor, controller, trainer); repeatable
+    /// Run a program of yours in a role (vehicle, supervisor, controller, trainer); repeatable
     #[arg(long, value_name = "ROLE=COMMAND")]
     pub replace: Vec<String>,
-    /// Record the run from its first tick, without a loss, into recording.mcap in its folder
+    /// Record the run from its first tick, without loss, into recording.mcap in its folder
     #[arg(long)]
     pub record: bool,
-    /// Go on in another file (recording-0001.mcap, …) at this size, as in 500M
+    /// Continue in another file (recording-0001.mcap, …) once one reaches this size, as in 500M
     #[arg(long, value_name = "SIZE", requires = "record", value_parser = parse_size)]
     pub record_split: Option<u64>,
-    /// Restarts that each process gets in ten seconds
+    /// Number of restarts that each process is allowed within ten seconds
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub restart_budget: u32,
-    /// Faults on purpose, as in 'kill controller@drive=12,tick=300; stop simulator@drive=20 for 2s; drop command p=0.001; delay odometry 5ms; random:2'
+    /// Inject faults, as in 'kill controller@drive=12,tick=300; stop simulator@drive=20 for 2s; drop command p=0.001;
+    /// delay odometry 5ms; random:2'
     #[arg(long, value_name = "SCRIPT")]
     pub chaos: Option<String>,
     /// Seed of random faults
@@ -258,7 +281,7 @@ pub struct SetupArgs {
     /// How the processes of the ring wait for each other
     #[arg(long, value_enum, default_value_t = WaitArg::Auto)]
     pub wait: WaitArg,
-    /// By the clock: ask for SCHED_FIFO with this priority, and for locked memory [default: 50]
+    /// When driving by the clock: request SCHED_FIFO with this priority, and locked memory [default: 50]
     #[arg(
         long,
         value_name = "PRIORITY",
@@ -268,7 +291,7 @@ pub struct SetupArgs {
         value_parser = clap::value_parser!(u8).range(1..=99)
     )]
     pub fifo: Option<u8>,
-    /// No progress
+    /// Do not show progress
     #[arg(long, short)]
     pub quiet: bool,
     /// Print result.json instead of the table
@@ -282,16 +305,16 @@ pub struct SetupArgs {
   pathtune record
   pathtune record --run 3f --out drive.mcap --for 10s")]
 pub struct RecordArgs {
-    /// The start of the run's number, or its folder; may be left out if there is only one
+    /// The run: the beginning of its number, or its folder; may be left out if there is only one
     #[arg(long, value_name = "RUN")]
     pub run: Option<String>,
-    /// The file [default: recording.mcap in the run's folder, or the next free number]
+    /// The file to write [default: recording.mcap in the run's folder, or the same with the next free number]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// How long, as in 10s or 500ms [default: until the run ends]
-    #[arg(long = "for", value_name = "TIME", value_parser = parse_time)]
+    /// How long, as in 10s, 1m30s or 500ms [default: until the run ends]
+    #[arg(long = "for", value_name = "TIME", value_parser = time::above_zero, allow_hyphen_values = true)]
     pub time: Option<Duration>,
-    /// Go on in another file at this size, as in 500M
+    /// Continue in another file once one reaches this size, as in 500M
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     pub record_split: Option<u64>,
 }
@@ -301,63 +324,43 @@ pub struct RecordArgs {
 #[command(after_help = "Examples:
   pathtune replay runs/mine/recording.mcap
   pathtune replay recording.mcap --gains 3,21,21,0.7/3.4,21,1,0.9
-  pathtune replay recording.mcap --from 25 --to 30 --realtime")]
+  pathtune replay recording.mcap --from 25s --to 30s --realtime")]
 pub struct ReplayArgs {
-    /// The recording: of a run with --record
+    /// The recording of a run that was started with --record
     pub file: PathBuf,
-    /// Gains instead of the recorded ones; for a path with several manoeuvres a set for each
-    #[arg(long, value_name = "Kv,Kl,Ks,Ki", allow_hyphen_values = true)]
+    /// Gains to use instead of the recorded ones: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; for a
+    /// path with several manoeuvres, one set for each
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Option<String>,
-    /// TOML file on top of the recorded configuration
+    /// TOML file that overrides keys of the recorded configuration
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// One key on top of everything, as in --set supervisor.speed_limit_mps=3; repeatable
+    /// Set one key, overriding everything else, as in --set supervisor.speed_limit_mps=3; repeatable
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Compare from this second of each drive on; it is driven from its start all the same
-    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = parse_seconds)]
-    pub from: f64,
-    /// Compare up to this second of each drive
-    #[arg(long, value_name = "S", value_parser = parse_seconds)]
-    pub to: Option<f64>,
-    /// As fast as it was driven, not as fast as it goes
+    /// Compare each drive from this time on, as in 25s or 1m30s; the drive itself still begins at its start
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time::from_zero, allow_hyphen_values = true)]
+    pub from: Duration,
+    /// Compare each drive up to this time
+    #[arg(long, value_name = "TIME", value_parser = time::from_zero, allow_hyphen_values = true)]
+    pub to: Option<Duration>,
+    /// Replay at the speed at which it was driven, not as fast as possible
     #[arg(long)]
     pub realtime: bool,
-    /// So many times as fast as it was driven
+    /// Replay this many times as fast as it was driven
     #[arg(long, value_name = "X", conflicts_with = "realtime", value_parser = parse_speed)]
     pub speed: Option<f64>,
 }
 
-fn parse_seconds(text: &str) -> Result<f64, String> {
-    let number = text.parse::<f64>().ok().filter(|it| it.is_finite() && *it >= 0.0);
-    number.ok_or_else(|| "is no number of seconds".to_owned())
-}
-
-/// Slower than a tenth, and a tick would take longer than a frozen process is waited for.
+/// Below a tenth, a tick would last longer than a process may be silent before it is taken for frozen.
 fn parse_speed(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|it| (0.1..=1e6).contains(it));
-    number.ok_or_else(|| "is no number from 0.1 to 1e6".to_owned())
-}
-
-/// `500ms`, `10s`, `5m`.
-fn parse_time(text: &str) -> Result<Duration, String> {
-    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let unit_s = match &text[split..] {
-        "ms" => 1e-3,
-        "s" => 1.0,
-        "m" => 60.0,
-        "h" => 3600.0,
-        _ => return Err("is no time; write 500ms, 10s or 5m".to_owned()),
-    };
-    let time_s = text[..split].parse::<f64>().ok().map(|number| number * unit_s);
-    time_s
-        .and_then(|time_s| Duration::try_from_secs_f64(time_s).ok())
-        .ok_or_else(|| "is no time; write 500ms, 10s or 5m".to_owned())
+    number.ok_or_else(|| "is not a number from 0.1 to 1e6".to_owned())
 }
 
 /// `64k`, `500M`, `2G`: powers of 1024.
 fn parse_size(text: &str) -> Result<u64, String> {
-    let why = || "is no size; write 500M or 2G, and at least 64k".to_owned();
+    let why = || "is not a size; write it as in 500M or 2G; the least is 64k".to_owned();
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
     let shift =
         match text[split..].to_ascii_lowercase().trim_end_matches("ib").trim_end_matches('b') {
@@ -379,14 +382,15 @@ fn parse_size(text: &str) -> Result<u64, String> {
   pathtune bench --only pipeline/ --only calls --json
   pathtune bench --realtime 60s")]
 pub struct BenchArgs {
-    /// Measurements of each row
+    /// Number of measurements for each row
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub rounds: u32,
-    /// Only the rows whose names begin like this; repeatable
+    /// Measure only the rows whose names begin with this; repeatable
     #[arg(long, value_name = "NAME")]
     pub only: Vec<String>,
-    /// Instead: drive at 100 Hz for so long, quiet and beside a load on all cores, and say how late commands are
-    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with_all = ["only", "rounds"])]
+    /// Instead, drive at 100 Hz for this long (as in 10s or 1m30s), first on a quiet machine and then with a load on
+    /// all cores, and report how late commands are
+    #[arg(long, value_name = "TIME", value_parser = time::above_zero, conflicts_with_all = ["only", "rounds"])]
     pub realtime: Option<Duration>,
     /// Print the rows as JSON
     #[arg(long)]
@@ -401,59 +405,44 @@ pub struct BenchArgs {
   pathtune monitor --once --budget 1ms
   pathtune monitor --run 3f --vehicle 2 --csv latency.csv")]
 pub struct MonitorArgs {
-    /// The start of its number, or its folder; may be left out if there is only one
+    /// The run: the beginning of its number, or its folder; may be left out if there is only one
     #[arg(long, value_name = "RUN")]
     pub run: Option<String>,
-    /// Slot of the fleet whose flags are shown
+    /// Show the flags of the vehicle in this slot of the fleet
     #[arg(long, value_name = "I", default_value_t = 0)]
     pub vehicle: usize,
-    /// One JSON object a second: percentiles of the last second, counts since the beginning
+    /// Print one JSON object per second: percentiles of the last second, counts since the beginning
     #[arg(long)]
     pub json: bool,
-    /// One row a second into a file, with the same figures
+    /// Write the same figures to this file, one row per second
     #[arg(long, value_name = "FILE")]
     pub csv: Option<PathBuf>,
-    /// How long to look, as in 500ms, 10s, 2m or 1h [default: until the run ends]
-    #[arg(long = "for", value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
+    /// How long to watch, as in 10s, 1m30s or 500ms [default: until the run ends]
+    #[arg(long = "for", value_name = "TIME", value_parser = time::above_zero, allow_hyphen_values = true)]
     pub duration: Option<Duration>,
-    /// One report over a second in which ticks are driven, or over the time of --for, and no more
+    /// Print a single report, over a second in which ticks are driven or over the time given by --for, and end
     #[arg(long)]
     pub once: bool,
-    /// How long odometry to applied command may take; longer is a deadline miss [default: the run's tick]
-    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
+    /// How long it may take from odometry to the applied command, as in 1ms; anything longer is a deadline miss
+    /// [default: the run's tick]
+    #[arg(long, value_name = "TIME", value_parser = time::above_zero, allow_hyphen_values = true)]
     pub budget: Option<Duration>,
-    /// Hand out the figures to Prometheus on this address, as in 127.0.0.1:9464; not in every build
+    /// Serve the figures to Prometheus on this address, as in 127.0.0.1:9464; not available in every build
     #[arg(long, value_name = "ADDR")]
     pub prometheus: Option<SocketAddr>,
-}
-
-/// A time above zero, as users write it.
-fn duration(text: &str) -> Result<Duration, String> {
-    let wanted = "a time above zero is meant, as in 500ms, 10s, 2m or 1h".to_owned();
-    let time = text.parse::<jiff::SignedDuration>().map_err(|_| wanted.clone())?;
-    Duration::try_from(time).ok().filter(|time| !time.is_zero()).ok_or(wanted)
 }
 
 /// How processes wait for each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum WaitArg {
-    /// As suits cores, fleet and mode
+    /// Chosen to suit the cores, the fleet and the mode
     Auto,
-    /// All on one core, which each hands on to the next; asleep after 100 µs
+    /// All share one core, and each yields it to the next; a process goes to sleep after waiting 100 µs
     Yield,
-    /// Each on a core of its own, looking again and again; asleep after 100 µs
+    /// Each has a core of its own and keeps polling; a process goes to sleep after waiting 100 µs
     Spin,
-    /// Asleep at once, woken for each message
+    /// Each goes to sleep at once, and is woken by each message
     Block,
-}
-
-/// Who tunes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum TunerArg {
-    /// The paper's: locks gains that the terminal sets agree on
-    EducatedQ,
-    /// Plain Q-learning
-    Q,
 }
 
 /// Options of `conformance`.
@@ -464,10 +453,10 @@ pub enum TunerArg {
   pathtune conformance --allow-motion --realtime -- ./my_car --port 3
   pathtune conformance --allow-motion -- pathtune service simulator")]
 pub struct ConformanceArgs {
-    /// Make also the checks that move the vehicle: slowly, some ten metres, and to the left
+    /// Also make the checks that move the vehicle: slowly, about ten metres, and to the left
     #[arg(long)]
     pub allow_motion: bool,
-    /// Set run.realtime: the vehicle is to pace by the clock
+    /// Set run.realtime: the vehicle must pace by the clock
     #[arg(long)]
     pub realtime: bool,
     /// The vehicle claims that the same request gives the same drive
@@ -476,29 +465,30 @@ pub struct ConformanceArgs {
     /// The manoeuvre whose configuration the vehicle reads
     #[arg(long, value_name = "NAME", default_value = "lane_change")]
     pub maneuver: String,
-    /// A vehicle: a preset, or a file on top of the default one
+    /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,
-    /// One key on top of everything, as in --set drive.tick_s=0.02; repeatable
+    /// Set one key, overriding everything else, as in --set drive.tick_s=0.02; repeatable
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Folder for configuration and log, kept [default: one that is removed]
+    /// Folder in which to keep configuration and log [default: a temporary one]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print the findings as JSON
     #[arg(long)]
     pub json: bool,
-    /// The program that is to be checked, with its arguments
+    /// The program to check, with its arguments
     #[arg(last = true, required = true, value_name = "CMD")]
     pub command: Vec<String>,
 }
 
-/// In which language.
+/// What to print, and in which language.
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 #[command(after_help = "Examples:
   pathtune schema --python > pathtune_messages.py
-  pathtune schema --c > pathtune_messages.h")]
+  pathtune schema --c > pathtune_messages.h
+  pathtune schema --result > result.schema.json")]
 pub struct SchemaArgs {
     /// A Python module of ctypes structures
     #[arg(long)]
@@ -506,19 +496,24 @@ pub struct SchemaArgs {
     /// A C header
     #[arg(long)]
     pub c: bool,
+    /// The JSON Schema of result.json
+    #[arg(long)]
+    pub result: bool,
 }
 
 /// What to do with the presets.
 #[derive(Debug, Subcommand)]
 pub enum ConfigCommand {
+    /// List the manoeuvres, vehicles, laws, tuners and objectives
+    List,
     /// Print the presets, each key with its description
     Show {
-        /// Only the presets whose path holds this word
+        /// Print only the presets whose path contains this word, as in laws or lane_change
         name: Option<String>,
     },
-    /// Write the presets into a folder, to be edited
+    /// Write the presets into a folder, where you can edit them
     Init {
-        /// The folder; made if it is not there
+        /// The folder; created if it does not exist
         #[arg(default_value = "pathtune-config")]
         folder: PathBuf,
     },
@@ -535,7 +530,7 @@ pub enum GainsCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Show the gains of a manoeuvre, where they come from, and what stood there before
+    /// Show the gains of a manoeuvre, where they come from, and which gains were there before
     Show {
         /// The vehicle's file
         vehicle: PathBuf,
@@ -555,75 +550,23 @@ pub enum GainsCommand {
         run: PathBuf,
         /// The vehicle's file
         vehicle: PathBuf,
-        /// Also if a gain changes by more than 30 %, or the training was of a vehicle with another geometry
+        /// Promote even if a gain changes by more than 30 %, the gains replace those of another law, or the training
+        /// was of a vehicle with another geometry
         #[arg(long)]
         force: bool,
         /// Only say what would change
         #[arg(long)]
         dry_run: bool,
     },
-    /// Bring back the gains that stood there before
+    /// Restore the gains that were there before
     Rollback {
         /// The vehicle's file
         vehicle: PathBuf,
         /// The manoeuvre; may be left out if there is only one
         maneuver: Option<String>,
-        /// The N-th newest of the history, as `gains show` numbers it [default: the newest that a promotion replaced]
+        /// Restore the N-th newest set of the history, as numbered by `gains show` [default: the newest that a
+        /// promotion replaced]
         #[arg(long, value_name = "N")]
         to: Option<usize>,
     },
-}
-
-/// Which process of a pipeline to be.
-#[derive(Debug, Subcommand)]
-#[allow(missing_docs, reason = "named after the processes")]
-pub enum ServiceCommand {
-    Simulator,
-    Controller,
-    Supervisor,
-    Trainer,
-    Schedule,
-    Recorder,
-    Replayer {
-        /// A recording that answers whatever is asked for, instead of the run's order
-        file: Option<PathBuf>,
-    },
-    Reviewer,
-    #[command(name = "ros2-vehicle")]
-    Ros2Vehicle,
-    /// One process of the bare ring
-    Ring {
-        hop: HopArg,
-        #[arg(default_value_t = 0)]
-        rounds: u64,
-    },
-    /// One process of a bare ring over standard input and output
-    StreamRing {
-        hop: HopArg,
-        #[arg(default_value_t = 0)]
-        rounds: u64,
-    },
-    /// Ticks by plain calls, timed
-    Calls,
-    /// Cleans dead nodes off the bus, and ends
-    Cleaner,
-    /// Wakes a frozen process after some milliseconds
-    Wake {
-        pid: i32,
-        after_ms: u64,
-    },
-    /// Becomes a user's program
-    Exec {
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
-        words: Vec<String>,
-    },
-}
-
-/// The place of a process in the bare ring.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[allow(missing_docs, reason = "numbered")]
-pub enum HopArg {
-    First,
-    Second,
-    Third,
 }

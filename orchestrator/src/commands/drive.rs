@@ -1,23 +1,24 @@
 //! `pathtune drive`: one drive with given gains, through the same pipeline, in lockstep or by the clock.
 
-use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use config::{Gains, RunConfig, SweepKind, SweepPlan, TunedGains, check_gains};
-use serde_json::Value;
+use config::{Parameters, RunConfig, SweepKind, SweepPlan, TunedGains};
+use outcome::{Outcome, RESULT_FILE, read_result};
 
 use crate::cli::DriveArgs;
-use crate::commands::sweep::{Kind, parse_sets, sweep};
-use crate::runs::setup::{self, Ended};
+use crate::commands::sweep::{Kind, list, no_paper_gains, parse_sets, plan, sweep};
+use crate::pipeline::services::Services;
+use crate::runs::EndedRun;
+use crate::runs::setup;
 use crate::words::Failure;
 use crate::words::tables;
 
 /// Drives once.
 ///
 /// # Errors
-/// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
-pub fn drive(args: &DriveArgs) -> Result<Ended, Failure> {
-    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup)?;
+/// On a user's mistake, before anything is started; if the pipeline cannot be kept alive.
+pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Failure> {
+    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, None)?;
     if args.noise {
         layers.put("--noise", "noise.enabled", true)?;
     }
@@ -29,19 +30,14 @@ pub fn drive(args: &DriveArgs) -> Result<Ended, Failure> {
     let note = describe(&config, &set, &origin);
     config.run.fleet = 1;
     let realtime = config.run.realtime;
-    let plan = SweepPlan { kind: SweepKind::Drive, repeats: 0, realtime, sets: vec![set] };
-    let kind = Kind {
-        name: "drive",
-        print: tables::print_drive,
-        vehicle: args.adapter.as_deref(),
-        note: Some(&note),
-    };
-    sweep(&args.setup, config, plan, kind)
+    let plan = SweepPlan { realtime, ..plan(&config, SweepKind::Drive, 0, &[set]) };
+    let kind = Kind { name: "drive", vehicle: args.adapter.as_deref(), note: Some(&note) };
+    sweep(&args.setup, config, services, plan, kind)
 }
 
-/// The gains to drive with, and where they come from: named ones, those of trainings, those that were promoted to the
-/// vehicle, or the paper's.
-fn choose(args: &DriveArgs, config: &RunConfig) -> Result<(Vec<Gains>, String), Failure> {
+/// The parameters to drive with, and where they come from: named ones, those of trainings, those that were promoted to
+/// the vehicle, the paper's, or the defaults of another law.
+fn choose(args: &DriveArgs, config: &RunConfig) -> Result<(Vec<Parameters>, String), Failure> {
     if let Some(text) = &args.gains {
         let set = parse_sets(std::slice::from_ref(text), config)?.remove(0);
         return Ok((set, "--gains".to_owned()));
@@ -50,40 +46,65 @@ fn choose(args: &DriveArgs, config: &RunConfig) -> Result<(Vec<Gains>, String), 
         let names: Vec<String> = args.from.iter().map(|run| run.display().to_string()).collect();
         return Ok((from_trainings(&args.from, config)?, names.join(", ")));
     }
-    if let Some(promoted) = promoted(config) {
+    if let Some(promoted) = promoted(config)? {
         return Ok(promoted);
     }
     let missing = missing(config);
-    let chosen = config.paper_rows().find(|row| row.chosen);
-    let paper = chosen.map(|row| (row.gains.clone(), format!("the paper{missing}")));
-    paper.ok_or_else(|| {
-        Failure::User(format!(
-            "the paper has no gains for this path{missing}; name some with --gains Kv,Kl,Ks,Ki, or a training with \
-             --from RUN"
-        ))
-    })
+    if let Some(row) = config.paper_rows().into_iter().find(|row| row.chosen) {
+        return Ok((row.sets, format!("the paper{missing}")));
+    }
+    let law = &config.law;
+    if law.name != "paper" {
+        let origin = format!("the defaults of the law {}{missing}", config.law_preset);
+        return Ok((vec![law.defaults()], origin));
+    }
+    Err(Failure::User(format!(
+        "{}{missing}; give some with --gains {}, or a training with --from RUN",
+        no_paper_gains(config),
+        list(config)
+    )))
 }
 
-/// The gains that were promoted to the vehicle: for each manoeuvre that is due, or for the path as a whole.
-fn promoted(config: &RunConfig) -> Option<(Vec<Gains>, String)> {
-    let of = |maneuver: &str| config.vehicle.gains.get(maneuver);
+/// The parameters that were promoted to the vehicle: for each manoeuvre that is due, or for the path as a whole.
+fn promoted(config: &RunConfig) -> Result<Option<(Vec<Parameters>, String)>, Failure> {
+    let of = |maneuver: &str| config.vehicle.gains.get_key_value(maneuver);
     let due = config.maneuvers_due();
-    let sets: Vec<&TunedGains> = match due.iter().map(|name| of(name)).collect() {
-        Some(sets) => sets,
-        None => vec![of(&config.maneuver)?],
-    };
+    let whole = || Some(vec![of(&config.maneuver)?]);
+    let sets: Option<Vec<(&String, &TunedGains)>> = due.iter().map(|name| of(name)).collect();
+    let Some(sets) = sets.or_else(whole) else { return Ok(None) };
     let origins: Vec<String> = sets
         .iter()
-        .map(|set| match &set.provenance {
+        .map(|(_, set)| match &set.provenance {
             Some(it) => format!("run {}, digest {:.12}", it.run, it.digest),
             None => "by hand".to_owned(),
         })
         .collect();
     let origin = format!("{} ({})", config.vehicle_preset, origins.join("; "));
-    Some((sets.into_iter().map(TunedGains::gains).collect(), origin))
+    let parameters = sets.into_iter().map(|(maneuver, set)| {
+        let what = format!("{}: gains.{maneuver}", config.vehicle_preset);
+        check_law(&what, &set.law, config)?;
+        config
+            .law
+            .parameters_of(&set.parameters)
+            .map_err(|(key, problem)| Failure::User(format!("{what}: {key} {problem}")))
+    });
+    Ok(Some((parameters.collect::<Result<_, _>>()?, origin)))
 }
 
-/// Which promoted gains were of no use, and why.
+/// Refuses parameters of a law other than the one that is to drive; `what` names them in the error.
+fn check_law(what: &str, law: &str, config: &RunConfig) -> Result<(), Failure> {
+    let ours = &config.law.name;
+    if law == ours {
+        return Ok(());
+    }
+    Err(Failure::User(format!(
+        "{what} are parameters of the law {law}, but the law {ours} is to drive; add --law {law}, or give parameters \
+         of {ours} with --gains {}",
+        list(config)
+    )))
+}
+
+/// Says which promoted gains are missing.
 fn missing(config: &RunConfig) -> String {
     let held = &config.vehicle.gains;
     if held.is_empty() {
@@ -94,37 +115,40 @@ fn missing(config: &RunConfig) -> String {
     format!(", as {} has none for {}", config.vehicle_preset, names.join(", "))
 }
 
-/// Which gains a drive takes, and where from.
-fn describe(config: &RunConfig, set: &[Gains], origin: &str) -> String {
-    let numbers = |gains: &Gains| gains.to_array().map(tables::trim).join(" ");
+/// Says which parameters a drive uses, and where they come from.
+fn describe(config: &RunConfig, set: &[Parameters], origin: &str) -> String {
+    let numbers = |set: &Parameters| {
+        let numbers = config.law.values(set).iter().map(|value| tables::trim(*value));
+        numbers.collect::<Vec<_>>().join(" ")
+    };
     let each: Vec<String> = match set {
         [one] => vec![numbers(one)],
         _ => {
             let due = config.maneuvers_due();
-            due.iter().zip(set).map(|(name, gains)| format!("{name} {}", numbers(gains))).collect()
+            due.iter().zip(set).map(|(name, set)| format!("{name} {}", numbers(set))).collect()
         }
     };
     format!("gains {} from {origin}", each.join(", "))
 }
 
-/// The tuned gains of trainings: of a single one for the whole path, or of one for each manoeuvre that is due.
-fn from_trainings(runs: &[impl AsRef<Path>], config: &RunConfig) -> Result<Vec<Gains>, Failure> {
+/// The tuned parameters of trainings: of a single one for the whole path, or of one for each manoeuvre that is due.
+fn from_trainings(runs: &[PathBuf], config: &RunConfig) -> Result<Vec<Parameters>, Failure> {
     let mut tuned = Vec::new();
     for run in runs {
-        tuned.push(tuned_gains(run.as_ref())?);
+        tuned.push(tuned_parameters(run, config)?);
     }
-    if let [(_, gains)] = tuned[..] {
-        return Ok(vec![gains]);
+    if let [(_, set)] = tuned[..] {
+        return Ok(vec![set]);
     }
     config
         .maneuvers_due()
         .into_iter()
         .map(|due| {
-            let found = tuned.iter().find(|(maneuver, _)| maneuver == due).map(|(_, gains)| *gains);
+            let found = tuned.iter().find(|(maneuver, _)| maneuver == due).map(|(_, set)| *set);
             found.ok_or_else(|| {
                 let names: Vec<_> = tuned.iter().map(|(maneuver, _)| maneuver.as_str()).collect();
                 Failure::User(format!(
-                    "--from: the path asks for {due}, and the trainings are of {}",
+                    "--from: the path needs {due}, but the trainings are of {}",
                     names.join(", ")
                 ))
             })
@@ -132,20 +156,23 @@ fn from_trainings(runs: &[impl AsRef<Path>], config: &RunConfig) -> Result<Vec<G
         .collect()
 }
 
-/// The manoeuvre and the tuned gains of a finished training.
-pub(crate) fn tuned_gains(run: &Path) -> Result<(String, Gains), Failure> {
-    let path = run.join("result.json");
-    let wrong = |why: &str| Failure::User(format!("--from {}: {why}", path.display()));
-    let text = fs::read(&path).map_err(|error| {
-        wrong(&format!("{error}; name the folder of a training that has come to its end"))
-    })?;
-    let result: Value = serde_json::from_slice(&text).map_err(|error| wrong(&error.to_string()))?;
-    if result["kind"] != "train" {
-        return Err(wrong("is not the result of a training"));
-    }
-    let gains = Gains::from_array(
-        Gains::NAMES.map(|name| result["gains"][name].as_f64().unwrap_or(f64::NAN)),
-    );
-    check_gains(gains).map_err(|(name, problem)| wrong(&format!("gains.{name} {problem}")))?;
-    Ok((result["maneuver"].as_str().unwrap_or_default().to_owned(), gains))
+/// The manoeuvre and the tuned parameters of a finished training.
+fn tuned_parameters(run: &Path, config: &RunConfig) -> Result<(String, Parameters), Failure> {
+    let path = run.join(RESULT_FILE);
+    let wrong = |why: String| Failure::User(format!("--from {}: {why}", path.display()));
+    let decided = match read_result(run) {
+        Ok(result) => result.decided,
+        Err(outcome::OutcomeError::Io { source, .. }) => {
+            let why = format!("{source}; name the folder of a finished training");
+            return Err(wrong(why));
+        }
+        Err(error) => return Err(Failure::User(format!("--from {error}"))),
+    };
+    let Outcome::Train(training) = &decided.outcome else {
+        return Err(wrong("is not the result of a training".to_owned()));
+    };
+    check_law(&format!("--from {}: its gains", path.display()), &decided.law, config)?;
+    let set = config.law.parameters_of(&training.gains);
+    let set = set.map_err(|(key, problem)| wrong(format!("gains.{key} {problem}")))?;
+    Ok((decided.maneuver, set))
 }

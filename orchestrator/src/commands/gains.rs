@@ -1,24 +1,28 @@
-//! `pathtune gains`: the result of a training, promoted to a vehicle's file, and back.
+//! `pathtune gains`: promotes the result of a training to a vehicle's file, and rolls it back.
 
 use std::fs;
+use std::io::{self, Read};
 use std::path::Path;
 
 use config::promote::{self, changes, geometry_difference, large_changes, rollback_place};
-use config::{Gains, Layers, Provenance, RunConfig, TunedGains, Vehicle, check_gains};
-use serde_json::{Value, json};
+use config::{
+    LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset, read_small,
+};
+use outcome::{Outcome, OutcomeError, RESULT_FILE, read_result};
+use serde_json::{Map, Value, json};
 
 use crate::cli::GainsCommand;
-use crate::runs::preflight;
 use crate::runs::vehicle_file::VehicleFile;
+use crate::runs::{preflight, resolved_config};
 use crate::words::Failure;
-use crate::words::tables::{digits, table_of, trim};
+use crate::words::tables::{digits, set_cells, table_of, trim};
 use crate::words::terminal::{say, tell};
 
-/// Shows, promotes or brings back the gains of a vehicle's file.
+/// Shows, promotes or rolls back the gains in a vehicle's file.
 ///
 /// # Errors
-/// The user's mistakes; a file that cannot be written.
-pub fn gains(command: &GainsCommand) -> Result<(), Failure> {
+/// On a user's mistake, or if a file cannot be written.
+pub(crate) fn gains(command: &GainsCommand) -> Result<(), Failure> {
     match command {
         GainsCommand::List { vehicle, json } => list(vehicle, *json),
         GainsCommand::Show { vehicle, maneuver, json } => show(vehicle, maneuver, *json),
@@ -34,23 +38,75 @@ pub fn gains(command: &GainsCommand) -> Result<(), Failure> {
 fn list(file: &Path, as_json: bool) -> Result<(), Failure> {
     let vehicle = resolve(file)?;
     if as_json {
-        return print_json(
-            &json!({ "schema": 1, "vehicle": vehicle.name, "gains": vehicle.gains }),
-        );
+        let gains: Map<String, Value> =
+            vehicle.gains.iter().map(|(name, set)| (name.clone(), to_json(set))).collect();
+        return print_json(&json!({ "schema": 1, "vehicle": vehicle.name, "gains": gains }));
     }
     if vehicle.gains.is_empty() {
-        say!("{}: no gains yet; `pathtune gains promote RUN {0}` brings some", file.display());
+        say!("{}: no gains yet; `pathtune gains promote RUN {0}` adds some", file.display());
         return Ok(());
     }
-    let mut table = table_of(&["manoeuvre", "Kv", "Kl", "Ks", "Ki", "digest", "rank", "when"]);
-    for (maneuver, set) in &vehicle.gains {
-        let mut cells = vec![maneuver.clone()];
-        cells.extend(set.gains().to_array().map(trim));
-        cells.extend(describe(set.provenance.as_ref()));
-        table.add_row(cells);
+    let mut laws: Vec<&str> = vehicle.gains.values().map(|set| set.law.as_str()).collect();
+    laws.sort_unstable();
+    laws.dedup();
+    for law in laws {
+        let law = law_of(law);
+        let mut table = table_of_law(&law, "manoeuvre", &["digest", "rank", "when"]);
+        for (maneuver, set) in vehicle.gains.iter().filter(|(_, set)| set.law == law.name) {
+            let mut cells = vec![maneuver.clone()];
+            cells.extend(set_cells(&law, std::slice::from_ref(&set.parameters)));
+            cells.extend(describe(set.provenance.as_ref()));
+            table.add_row(cells);
+        }
+        say!("{table}");
     }
-    say!("{table}");
     Ok(())
+}
+
+/// Counts the lines of a file that may be long.
+fn count_lines(path: &Path) -> io::Result<u64> {
+    let mut file = fs::File::open(path)?;
+    let (mut lines, mut bytes) = (0, vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut bytes)? {
+            0 => return Ok(lines),
+            count => lines += bytes[..count].iter().filter(|byte| **byte == b'\n').count() as u64,
+        }
+    }
+}
+
+/// A set as JSON, for scripts: its parameters are on the same level as the rest, under their own names.
+fn to_json(set: &TunedGains) -> Value {
+    let mut json = json!(set);
+    flatten(&mut json);
+    if let Some(Value::Array(history)) = json.get_mut("history") {
+        history.iter_mut().for_each(flatten);
+    }
+    json
+}
+
+fn flatten(json: &mut Value) {
+    let Value::Object(set) = json else { return };
+    if let Some(Value::Object(parameters)) = set.remove("parameters") {
+        set.extend(parameters);
+    }
+}
+
+/// A table with a column for each parameter of a law. A law that is not the paper's is named in the first column's
+/// title.
+fn table_of_law(law: &LawConfig, first: &str, last: &[&str]) -> comfy_table::Table {
+    let first = match &*law.name {
+        "paper" => first.to_owned(),
+        name => format!("{first} (law {name})"),
+    };
+    let header: Vec<&str> =
+        std::iter::once(&*first).chain(law.symbols()).chain(last.iter().copied()).collect();
+    table_of(&header)
+}
+
+/// The preset of a law that a vehicle's file names.
+fn law_of(name: &str) -> LawConfig {
+    law_preset(name).expect("a resolved vehicle's file names known laws only")
 }
 
 fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
@@ -58,53 +114,72 @@ fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
     let set = set_of(&vehicle, file, maneuver)?;
     if as_json {
         return print_json(&json!({
-            "schema": 1, "vehicle": vehicle.name, "maneuver": maneuver, "gains": set,
+            "schema": 1, "vehicle": vehicle.name, "maneuver": maneuver, "gains": to_json(set),
         }));
     }
-    let header = ["", "Kv", "Kl", "Ks", "Ki", "digest", "rank", "when", "replaced", "by"];
-    let mut table = table_of(&header);
+    let law = law_of(&set.law);
+    let last = ["digest", "rank", "when", "replaced", "by"];
+    let mut table = table_of_law(&law, "", &last);
     let mut cells = vec!["now".to_owned()];
-    cells.extend(set.gains().to_array().map(trim));
+    cells.extend(set_cells(&law, std::slice::from_ref(&set.parameters)));
     cells.extend(describe(set.provenance.as_ref()));
     table.add_row(cells);
+    let mut others = Vec::new();
     for (index, past) in set.history.iter().rev().enumerate() {
         let mut cells = vec![format!("--to {}", index + 1)];
-        cells.extend(past.gains().to_array().map(trim));
+        if past.law == set.law {
+            cells.extend(set_cells(&law, std::slice::from_ref(&past.parameters)));
+        } else {
+            // Its parameters have no columns here.
+            others.push(format!("--to {}: law {}, {}", index + 1, past.law, past.parameters));
+            cells.extend(law.keys().map(|_| "–".to_owned()));
+        }
         cells.extend(describe(past.provenance.as_ref()));
         cells.extend([past.replaced_at.clone(), past.replaced_by.name().to_owned()]);
         table.add_row(cells);
     }
     say!("{table}");
+    for other in others {
+        say!("{other}");
+    }
     let Some(it) = &set.provenance else {
         say!("no provenance: written by hand");
         return Ok(());
     };
     let alphas: Vec<String> = it.alphas.iter().map(f64::to_string).collect();
+    let tuner = it.tuner.as_ref().map_or(String::new(), |tuner| format!(" by {tuner}"));
+    let alphas = match alphas.is_empty() {
+        true => String::new(),
+        false => format!(", alphas {}", alphas.join(",")),
+    };
     say!(
-        "trained on {} with {}, seed {}, alphas {}, {} noise; run {}",
+        "trained{tuner} on {} with {}, seed {}{alphas}, {} noise; run {}",
         it.maneuver,
         it.vehicle,
         it.seed,
-        alphas.join(","),
         if it.noise { "with" } else { "without" },
         it.run,
     );
-    let number = |number: f64| digits(&number.into(), 4);
-    let noise_free = format!(
-        "noise-free: distance {}, mse {} m², rank {}/{}",
-        number(it.distance),
-        number(it.mse_m2),
-        it.rank_distance,
-        it.grid_size
+    let of_grid = |rank: Option<u64>| match (rank, it.grid_size) {
+        (Some(rank), Some(size)) => format!(", rank {rank} of {size}"),
+        _ => String::new(),
+    };
+    say!(
+        "noise-free: distance {}, mse {} m²{}",
+        digits(it.distance, 4),
+        digits(it.mse_m2, 4),
+        of_grid(it.rank_distance),
     );
-    say!("{noise_free}");
-    if let (Some(low), Some(high)) = (it.mean_distance_low, it.mean_distance_high) {
-        let rank = it.rank_mean_distance.map_or("–".to_owned(), |rank| rank.to_string());
+    if let (Some(mean_m), Some(max_m)) = (it.path_mean_m, it.path_max_m) {
+        say!("off the path: mean {} m, at most {} m", digits(mean_m, 4), digits(max_m, 4));
+    }
+    if let (Some(low), Some(high)) = (it.mean_low, it.mean_high) {
+        let objective = it.objective.as_deref().unwrap_or("distance");
         say!(
-            "under noise: mean distance in [{}, {}], rank {rank}/{}",
-            number(low),
-            number(high),
-            it.grid_size
+            "under noise: mean {objective} in [{}, {}]{}",
+            digits(low, 4),
+            digits(high, 4),
+            of_grid(it.rank_mean),
         );
     }
     say!("digest {}, promoted by pathtune {}", it.digest, it.pathtune);
@@ -114,22 +189,23 @@ fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
 fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Failure> {
     let trained = Trained::read(run)?;
     check_is_file(file)?;
-    // A second promotion at the same time waits for this one: neither is lost.
+    // A second promotion at the same time waits for this one, so that neither is lost.
     let target = VehicleFile::lock(file)?;
     let vehicle = resolve(file)?;
-    let Trained { maneuver, gains, provenance, .. } = &trained;
+    let Trained { maneuver, law, parameters, provenance, .. } = &trained;
     if let Some((key, then, now)) = geometry_difference(&trained.vehicle, &vehicle)
         && !force
     {
         return Err(Failure::User(format!(
-            "{}: {key} is {now}, and the training was of a vehicle with {then}; train again with --vehicle {0}, or \
+            "{}: {key} is {now}, but the training was of a vehicle with {then}; train again with --vehicle {0}, or \
              insist with --force",
             file.display()
         )));
     }
     let old = vehicle.gains.get(maneuver);
     let same = |old: &TunedGains| {
-        old.gains() == *gains
+        old.law == *law
+            && old.parameters == *parameters
             && old.provenance.as_ref().is_some_and(|it| it.digest == provenance.digest)
     };
     if old.is_some_and(same) {
@@ -137,9 +213,20 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
         return Ok(());
     }
     if let Some(old) = old
+        && old.law != *law
         && !force
     {
-        let large: Vec<String> = large_changes(old.gains(), *gains)
+        return Err(Failure::User(format!(
+            "{}: gains.{maneuver}: are parameters of the law {}, but the training was of the law {law}; train again with \
+             --law {1}, or insist with --force",
+            file.display(),
+            old.law
+        )));
+    }
+    if let Some(old) = old
+        && !force
+    {
+        let large: Vec<String> = large_changes(&old.parameters, parameters)
             .iter()
             .map(|it| format!("{} from {} to {} ({:+.0} %)", it.name, it.old, it.new, it.percent()))
             .collect();
@@ -153,12 +240,12 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
             )));
         }
     }
-    let text = promote::promote(&target.text, maneuver, *gains, provenance)
+    let text = promote::promote(&target.text, maneuver, law, parameters, provenance)
         .map_err(|why| Failure::User(format!("{}: {why}", file.display())))?;
     if !dry_run {
         target.replace(&text)?;
     }
-    // Behind whatever may be refused: that is one line.
+    // Printed only once nothing can be refused any more: a refusal is one line.
     if !trained.on_bound.is_empty() {
         let bounds = trained.on_bound.join(", ");
         tell!(
@@ -166,7 +253,8 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
         );
     }
     let what = if dry_run { "would be promoted" } else { "promoted" };
-    say_changes(file, maneuver, what, old.map(TunedGains::gains), *gains)
+    let old = old.map(|old| (&*old.law, &old.parameters));
+    say_changes(file, maneuver, what, old, (law, parameters))
 }
 
 fn rollback(file: &Path, maneuver: Option<&str>, to: Option<usize>) -> Result<(), Failure> {
@@ -186,26 +274,29 @@ fn rollback(file: &Path, maneuver: Option<&str>, to: Option<usize>) -> Result<()
         let held = set.history.len();
         fail(match to {
             Some(to) => format!(
-                "gains.{maneuver}: --to {to}: the history holds {held}; `pathtune gains show` lists them"
+                "gains.{maneuver}: --to {to}: the history holds {held} sets; `pathtune gains show` lists them"
             ),
             None if held > 0 => format!(
-                "gains.{maneuver}: nothing stood there before; --to N brings back what was rolled back"
+                "gains.{maneuver}: there were no gains before these; --to N restores a set that was rolled back"
             ),
-            None => format!("gains.{maneuver}: nothing stood there before"),
+            None => format!("gains.{maneuver}: there were no gains before these"),
         })
     })?;
-    let past = set.history[place].gains();
+    let past = &set.history[place];
     let text = promote::rollback(&target.text, maneuver, place, &now())
         .map_err(|why| fail(why.to_string()))?;
     target.replace(&text)?;
-    say_changes(file, maneuver, "rolled back", Some(set.gains()), past)
+    let old = Some((&*set.law, &set.parameters));
+    say_changes(file, maneuver, "rolled back", old, (&past.law, &past.parameters))
 }
 
-/// A finished training, as far as it concerns a vehicle.
+/// What a vehicle needs of a finished training.
 struct Trained {
     /// The manoeuvre that its gains are for.
     maneuver: String,
-    gains: Gains,
+    /// Name of its law, and that law's parameters.
+    law: String,
+    parameters: NamedParameters,
     provenance: Provenance,
     vehicle: Vehicle,
     on_bound: Vec<String>,
@@ -218,68 +309,80 @@ impl Trained {
         if !folder.is_dir() {
             return Err(fail("name the folder of a finished training".to_owned()));
         }
-        // Held until everything is read: nobody goes on with it meanwhile.
+        // Held until everything is read, so that nobody resumes the training meanwhile.
         let _lock = preflight::look_into(run)?;
         let unfinished = |why: &str| {
             fail(format!(
-                "is no finished training: {why}; `pathtune train --resume {}` finishes one",
+                "is not a finished training: {why}; `pathtune train --resume {}` finishes it",
                 run.display()
             ))
         };
         let read = |name: &str| {
-            fs::read_to_string(folder.join(name))
-                .map_err(|error| unfinished(&format!("{name}: {error}")))
+            read_small(&folder.join(name)).map_err(|error| unfinished(&format!("{name}: {error}")))
         };
-        let result: Value = serde_json::from_str(&read("result.json")?)
-            .map_err(|error| unfinished(&format!("result.json: {error}")))?;
-        if result["kind"] != "train" {
-            let kind = result["kind"].as_str().unwrap_or("nothing known");
+        let decided = match read_result(&folder) {
+            Ok(result) => result.decided,
+            Err(OutcomeError::Io { source, .. }) => {
+                return Err(unfinished(&format!("{RESULT_FILE}: {source}")));
+            }
+            Err(error @ OutcomeError::Earlier { .. }) => {
+                return Err(Failure::User(error.to_string()));
+            }
+            Err(OutcomeError::Malformed { problem, .. }) => {
+                return Err(unfinished(&format!("{RESULT_FILE}: {problem}")));
+            }
+        };
+        let Outcome::Train(training) = &decided.outcome else {
+            let kind = decided.outcome.kind();
             return Err(fail(format!("is a run of {kind}; gains come from a training")));
-        }
-        let config = RunConfig::from_resolved(&read("config.toml")?)
-            .map_err(|error| fail(error.to_string()))?;
-        // A line is a step, behind the one that opens the journal.
-        let steps = read("journal")?.lines().count().saturating_sub(1) as u64;
-        if result["drives"]["asked"] != steps {
+        };
+        let origin = run.join("config.toml").display().to_string();
+        let config = resolved_config(&origin, &read("config.toml")?)?;
+        // After the line that opens the journal, each line is a step.
+        let steps = count_lines(&folder.join("journal"))
+            .map_err(|error| unfinished(&format!("journal: {error}")))?
+            .saturating_sub(1);
+        if training.asked != steps {
             return Err(unfinished("result.json does not belong to the journal"));
         }
-        for (key, ours) in
-            [("maneuver", Value::from(&*config.maneuver)), ("seed", config.run.seed.into())]
-        {
-            if result[key] != ours {
-                return Err(unfinished(&format!("config.toml has another {key} than result.json")));
+        for (key, differs) in [
+            ("maneuver", decided.maneuver != config.maneuver),
+            ("law", decided.law != config.law.name),
+            ("objective", decided.objective != config.objective.name),
+            ("seed", decided.seed != config.run.seed),
+        ] {
+            if differs {
+                return Err(unfinished(&format!("config.toml and result.json differ in {key}")));
             }
         }
-        let number = |pointer: &str| {
-            let number = result.pointer(pointer).and_then(Value::as_f64);
-            number.ok_or_else(|| fail(format!("result.json: {pointer} is no number")))
-        };
-        let mut gains = [0.0; 4];
-        for (gain, name) in gains.iter_mut().zip(Gains::NAMES) {
-            *gain = number(&format!("/gains/{name}"))?;
-        }
-        let gains = Gains::from_array(gains);
-        check_gains(gains)
-            .map_err(|(name, problem)| fail(format!("result.json: gains.{name} {problem}")))?;
-        let chosen = &result["noise"]["finalists"][0];
+        // By the law's preset, as when the vehicle's file is read.
+        law_of(&config.law.name).parameters_of(&training.gains).map_err(|(name, problem)| {
+            fail(format!("{RESULT_FILE}: gains.{name} {problem}, according to the law's preset"))
+        })?;
+        let chosen = training.noise.as_ref().and_then(|noise| noise.finalists.first());
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        let grid = training.grid.as_ref();
         let provenance = Provenance {
-            digest: result["digest"].as_str().unwrap_or_default().to_owned(),
+            digest: training.digest.clone(),
             promoted_at: now(),
             // A folder's name may be anything.
             run: name.chars().filter(|c| !c.is_control()).take(64).collect(),
             maneuver: config.maneuver.clone(),
             vehicle: config.vehicle.name.clone(),
             seed: config.run.seed,
+            tuner: Some(training.tuner.clone()),
+            objective: Some(decided.objective.clone()),
             alphas: config.run.alphas.clone(),
             noise: config.noise.enabled,
-            distance: number("/distance")?,
-            mse_m2: number("/mse_m2")?,
-            grid_size: number("/grid/size")? as u64,
-            rank_distance: number("/grid/rank_distance")? as u64,
-            rank_mean_distance: result["grid"]["rank_mean_distance"].as_u64(),
-            mean_distance_low: chosen["low"].as_f64(),
-            mean_distance_high: chosen["high"].as_f64(),
+            distance: training.measures.distance,
+            mse_m2: training.measures.mse_m2,
+            path_mean_m: Some(training.measures.path_mean_m),
+            path_max_m: Some(training.measures.path_max_m),
+            grid_size: grid.map(|grid| grid.size as u64),
+            rank_distance: grid.map(|grid| grid.rank_distance as u64),
+            rank_mean: grid.and_then(|grid| grid.rank_mean).map(|rank| rank as u64),
+            mean_low: chosen.map(|chosen| chosen.low),
+            mean_high: chosen.map(|chosen| chosen.high),
             pathtune: env!("CARGO_PKG_VERSION").to_owned(),
         };
         let maneuver = match config.maneuvers_due()[..] {
@@ -287,9 +390,14 @@ impl Trained {
             // One set for the whole path.
             _ => config.maneuver.clone(),
         };
-        let bounds = result["on_bound"].as_array().into_iter().flatten();
-        let on_bound = bounds.filter_map(Value::as_str).map(str::to_owned).collect();
-        Ok(Self { maneuver, gains, provenance, vehicle: config.vehicle, on_bound })
+        Ok(Self {
+            maneuver,
+            law: config.law.name,
+            parameters: training.gains.clone(),
+            provenance,
+            vehicle: config.vehicle,
+            on_bound: training.on_bound.clone(),
+        })
     }
 }
 
@@ -297,7 +405,7 @@ fn now() -> String {
     jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
-/// Checks that a vehicle is a file of the user's.
+/// Checks that the vehicle is a file of the user's own.
 fn check_is_file(file: &Path) -> Result<(), Failure> {
     let name = file.display().to_string();
     let preset = format!("vehicles/{}.toml", name.trim_end_matches(".toml"));
@@ -306,12 +414,12 @@ fn check_is_file(file: &Path) -> Result<(), Failure> {
         return Ok(());
     }
     let why = if is_preset && !file.exists() {
-        "is a preset, which cannot be changed; write your own file on top of it: `pathtune config init DIR` writes all \
+        "is a preset, which cannot be changed; make a copy of your own: `pathtune config init DIR` writes all \
          presets, this one as"
     } else if file.exists() {
-        "is no vehicle's file of yours; name a TOML file, such as, behind `pathtune config init DIR`,"
+        "is not a vehicle's file; name a TOML file, such as, after `pathtune config init DIR`,"
     } else {
-        "there is no such file; `pathtune config init DIR` writes the presets to start from, such as"
+        "no such file; `pathtune config init DIR` writes presets to start from, such as"
     };
     let example = if is_preset { preset } else { "vehicles/tesla_model_3.toml".to_owned() };
     Err(Failure::User(format!("{name}: {why} DIR/{example}")))
@@ -320,7 +428,7 @@ fn check_is_file(file: &Path) -> Result<(), Failure> {
 fn resolve(file: &Path) -> Result<Vehicle, Failure> {
     check_is_file(file)?;
     let name = file.to_str().ok_or_else(|| {
-        Failure::User(format!("{}: a vehicle's file needs a name in UTF-8", file.display()))
+        Failure::User(format!("{}: the name of a vehicle's file must be UTF-8", file.display()))
     })?;
     Ok(Layers::vehicle_of_file(name)?)
 }
@@ -340,33 +448,44 @@ fn set_of<'a>(
 /// Digest, rank and time of gains.
 fn describe(provenance: Option<&Provenance>) -> [String; 3] {
     let Some(it) = provenance else { return ["by hand", "", ""].map(str::to_owned) };
-    let rank = it.rank_mean_distance.unwrap_or(it.rank_distance);
-    [
-        it.digest.chars().take(12).collect(),
-        format!("{rank}/{}", it.grid_size),
-        it.promoted_at.clone(),
-    ]
+    let rank = match (it.rank_mean.or(it.rank_distance), it.grid_size) {
+        (Some(rank), Some(size)) => format!("{rank} of {size}"),
+        _ => "–".to_owned(),
+    };
+    [it.digest.chars().take(12).collect(), rank, it.promoted_at.clone()]
 }
 
+/// Says how the parameters of a manoeuvre changed. Old and new are given as the law's name and its parameters.
 fn say_changes(
     file: &Path,
     maneuver: &str,
     what: &str,
-    old: Option<Gains>,
-    new: Gains,
+    old: Option<(&str, &NamedParameters)>,
+    new: (&str, &NamedParameters),
 ) -> Result<(), Failure> {
-    let Some(old) = old else {
-        let gains = new.to_array().map(trim).join(" ");
-        say!("{}: {maneuver} {what}: {gains} (Kv Kl Ks Ki)", file.display());
-        return Ok(());
+    let (law, parameters) = new;
+    let changes: Vec<String> = match old {
+        Some((old_law, old)) if old_law == law => changes(old, parameters)
+            .iter()
+            .map(|it| match it.old == it.new {
+                true => format!("{} {}", it.name, trim(it.new)),
+                false => format!(
+                    "{} {} -> {} ({:+.0} %)",
+                    it.name,
+                    trim(it.old),
+                    trim(it.new),
+                    it.percent()
+                ),
+            })
+            .collect(),
+        _ => parameters.0.iter().map(|(name, value)| format!("{name} {}", trim(*value))).collect(),
     };
-    let each = changes(old, new).map(|it| {
-        if it.old == it.new {
-            return format!("{} {}", it.name, trim(it.new));
-        }
-        format!("{} {} -> {} ({:+.0} %)", it.name, trim(it.old), trim(it.new), it.percent())
-    });
-    say!("{}: {maneuver} {what}: {}", file.display(), each.join(", "));
+    let of_law = match old {
+        Some((old_law, _)) if old_law != law => format!(" (law {old_law} -> {law})"),
+        None if law != "paper" => format!(" (law {law})"),
+        _ => String::new(),
+    };
+    say!("{}: {maneuver} {what}{of_law}: {}", file.display(), changes.join(", "));
     Ok(())
 }
 

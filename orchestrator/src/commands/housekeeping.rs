@@ -1,121 +1,29 @@
 //! Looking after runs from another terminal: `status`, `stop`, `logs`, `clean`, `doctor`.
 
 use std::fs;
-use std::io;
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use comfy_table::Table;
 use comfy_table::presets::NOTHING;
-use runtime::run::{RunNames, living_runs, stale_segments, sweep_dead_runs};
-use rustix::process::{Pid, Resource, Signal, getrlimit, kill_process};
-use serde::{Deserialize, Serialize};
+use runtime::run::{RunNames, stale_segments, sweep_dead_runs};
+use rustix::process::{Resource, getrlimit};
+use serde::Serialize;
 use serde_json::json;
 
-use crate::pipeline::member::Refused;
 use crate::pipeline::process::last_lines;
+use crate::runs::state::RunState;
 use crate::words::Failure;
 use crate::words::terminal::say;
-
-/// What a living run tells of itself, in a file in its private folder.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(crate) struct RunState {
-    pub(crate) run: String,
-    pub(crate) pid: u32,
-    pub(crate) maneuver: String,
-    pub(crate) folder: PathBuf,
-    pub(crate) batch: u64,
-    pub(crate) attempt: u32,
-    pub(crate) tick: u64,
-    pub(crate) processes: Vec<ProcessState>,
-}
-
-/// One process of it.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(crate) struct ProcessState {
-    pub(crate) name: String,
-    pub(crate) pid: u32,
-    pub(crate) restarts: u32,
-    pub(crate) state: String,
-    #[serde(flatten)]
-    pub(crate) refused: Refused,
-}
-
-impl RunState {
-    /// Name of the file.
-    pub(crate) const FILE: &str = "run.json";
-
-    /// Writes the file, by rename: whoever reads it reads all of it.
-    pub(crate) fn write(&self, path: &Path) -> io::Result<()> {
-        let part = path.with_extension("part");
-        fs::write(&part, serde_json::to_vec(self)?)?;
-        fs::rename(part, path)
-    }
-
-    /// The living run of the orchestrator with this process id.
-    pub(crate) fn of_orchestrator(pid: u32) -> Option<Self> {
-        living().into_iter().find(|state| state.pid == pid)
-    }
-
-    fn read(names: &RunNames) -> Option<Self> {
-        serde_json::from_slice(&fs::read(names.root.join(Self::FILE)).ok()?).ok()
-    }
-}
-
-/// The living runs of this user.
-fn living() -> Vec<RunState> {
-    living_runs().iter().filter_map(RunState::read).collect()
-}
-
-/// The living run that a user means: by the start of its number, by its folder, or the only one there is.
-fn find(run: Option<&str>) -> Result<RunState, Failure> {
-    let mut runs = living();
-    if let Some(word) = run {
-        let folder = fs::canonicalize(word).ok();
-        runs.retain(|state| state.run.starts_with(word) || Some(&state.folder) == folder.as_ref());
-    }
-    match (runs.len(), run) {
-        (1, _) => Ok(runs.remove(0)),
-        (0, None) => Err(Failure::User("no run is alive".to_owned())),
-        (0, Some(word)) => Err(Failure::User(format!(
-            "no living run has a number or folder {word:?}; `pathtune status` lists them"
-        ))),
-        (_, _) => Err(Failure::User(format!(
-            "several runs are meant: {}; name one",
-            runs.iter().map(|state| state.run.as_str()).collect::<Vec<_>>().join(", ")
-        ))),
-    }
-}
-
-/// A living run, as observers need it.
-#[derive(Debug, Clone)]
-pub struct LivingRun {
-    /// What names it on this machine.
-    pub names: RunNames,
-    /// Its output folder.
-    pub folder: PathBuf,
-}
-
-/// The living run that a user means: by the start of its number, by its folder, or the only one there is.
-///
-/// # Errors
-/// If no run or several are meant.
-pub fn living_run(run: Option<&str>) -> Result<LivingRun, Failure> {
-    let state = find(run)?;
-    let names = living_runs()
-        .into_iter()
-        .find(|names| format!("{:016x}", names.run) == state.run)
-        .ok_or_else(|| Failure::User(format!("run {} has just ended", state.run)))?;
-    Ok(LivingRun { names, folder: state.folder })
-}
 
 /// Lists the living runs.
 ///
 /// # Errors
-/// None that a user could mend.
-pub fn status(as_json: bool) -> Result<(), Failure> {
-    let runs = living();
+/// None that a user could do anything about.
+pub(crate) fn status(as_json: bool) -> Result<(), Failure> {
+    let runs = RunState::living();
     if as_json {
         say!("{}", serde_json::to_string(&json!({ "runs": runs })).context("the runs")?);
         return Ok(());
@@ -146,13 +54,13 @@ pub fn status(as_json: bool) -> Result<(), Failure> {
         ]);
         for process in state.processes {
             table.add_row([
-                format!("  {}", process.name),
-                process.pid.to_string(),
+                format!("  {}", process.facts.name),
+                process.facts.pid.to_string(),
                 process.state,
-                process.restarts.to_string(),
-                process.refused.dropped.to_string(),
-                process.refused.rejected.to_string(),
-                process.refused.late.to_string(),
+                process.facts.restarts.to_string(),
+                process.facts.dropped.to_string(),
+                process.facts.rejected.to_string(),
+                process.facts.late.to_string(),
             ]);
         }
         say!("{table}");
@@ -160,36 +68,66 @@ pub fn status(as_json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Asks a living run to stop, and waits for its end.
+/// Asks a living run to stop, and waits until it has ended.
 ///
 /// # Errors
-/// If no run or several are meant, or it does not end.
-pub fn stop(run: Option<&str>) -> Result<(), Failure> {
-    let state = find(run)?;
-    let pid = Pid::from_raw(state.pid as i32).context("no process id")?;
-    kill_process(pid, Signal::INT).context("failed to interrupt the run")?;
+/// If `run` matches no run or several, or if it does not end.
+pub(crate) fn stop(run: Option<&str>) -> Result<(), Failure> {
+    let state = RunState::find(run)?;
+    if run.is_none() {
+        confirm(&state)?;
+    }
+    state.request_stop().context("failed to ask the run to stop")?;
     // Its processes get five seconds each.
     let until = Instant::now() + Duration::from_secs(30);
-    while living().iter().any(|other| other.run == state.run) {
+    while RunState::living().iter().any(|other| other.run == state.run) {
         if Instant::now() > until {
-            return Err(
-                anyhow::anyhow!("run {} does not stop; kill -9 {}", state.run, state.pid).into()
-            );
+            return Err(anyhow::anyhow!(
+                "run {} does not stop; kill it with: kill -9 {}",
+                state.run,
+                state.pid
+            )
+            .into());
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    say!("stopped {}; go on with: pathtune train --resume {}", state.run, state.folder.display());
+    let folder = state.folder.display();
+    if state.resumable {
+        say!("stopped {}; go on with: pathtune train --resume {folder}", state.run);
+    } else {
+        say!("stopped {} in {folder}", state.run);
+    }
     Ok(())
 }
 
-/// Prints the ends of a run's logs: of a living run, or of an output folder.
+/// Asks before the only run is stopped although nobody named it and it belongs to another folder than this one.
+fn confirm(state: &RunState) -> Result<(), Failure> {
+    let here = std::env::current_dir().and_then(fs::canonicalize).unwrap_or_default();
+    if state.folder.starts_with(&here) {
+        return Ok(());
+    }
+    let question = format!("run {} ({}) in {}", state.run, state.maneuver, state.folder.display());
+    if !std::io::stdin().is_terminal() {
+        let way_out = format!("name it: pathtune stop {}", &state.run[..state.run.len().min(6)]);
+        return Err(Failure::User(format!("{question} is not below this folder; {way_out}")));
+    }
+    eprint!("{question} is not below this folder. Stop it? [y/N] ");
+    let mut answer = String::new();
+    std::io::stdin().read_line(&mut answer)?;
+    match answer.trim() {
+        "y" | "Y" | "yes" => Ok(()),
+        _ => Err(Failure::User("nothing was stopped".to_owned())),
+    }
+}
+
+/// Prints the last lines of a run's logs; the run is a living one or an output folder.
 ///
 /// # Errors
-/// If no run is meant, or it has no such log.
-pub fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Result<(), Failure> {
+/// If `run` matches no run, or it has no such log.
+pub(crate) fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Result<(), Failure> {
     let folder = match run.map(Path::new).filter(|path| path.join("logs").is_dir()) {
         Some(folder) => folder.to_owned(),
-        None => find(run)?.folder,
+        None => RunState::find(run)?.folder,
     };
     let mut paths: Vec<PathBuf> = fs::read_dir(folder.join("logs"))
         .with_context(|| format!("failed to read {:?}", folder.join("logs")))?
@@ -217,8 +155,8 @@ pub fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Result<()
 /// Removes what dead runs left, or says what would be removed.
 ///
 /// # Errors
-/// None that a user could mend.
-pub fn clean(dry_run: bool) -> Result<(), Failure> {
+/// None that a user could do anything about.
+pub(crate) fn clean(dry_run: bool) -> Result<(), Failure> {
     let stale = stale_segments();
     if dry_run {
         for run in runtime::run::dead_runs() {
@@ -243,15 +181,15 @@ struct Finding {
     check: &'static str,
     ok: bool,
     found: String,
-    /// What to do, where something is wrong.
+    /// What to do if something is wrong.
     advice: &'static str,
 }
 
-/// Checks what a run needs of the machine, and says what to do.
+/// Checks whether the machine has what a run needs, and says what to do if not.
 ///
 /// # Errors
-/// If something would keep a run from working; exit code 1.
-pub fn doctor(as_json: bool) -> Result<(), Failure> {
+/// If something would prevent a run from working; exit code 1.
+pub(crate) fn doctor(as_json: bool) -> Result<(), Failure> {
     let findings = examine();
     if as_json {
         say!("{}", json!({ "checks": findings }));
@@ -264,7 +202,7 @@ pub fn doctor(as_json: bool) -> Result<(), Failure> {
             }
         }
     }
-    // Only the first ones keep a run from working; the rest is advice.
+    // Only the first findings prevent a run from working; the others are advice.
     match findings.iter().take(2).find(|finding| !finding.ok) {
         None => Ok(()),
         Some(finding) => Err(anyhow::anyhow!("{}: {}", finding.check, finding.found).into()),
@@ -282,7 +220,7 @@ fn examine() -> Vec<Finding> {
         "shared memory",
         free_mib >= 32,
         format!("{free_mib} MiB free in /dev/shm"),
-        "make room there, or enlarge it: mount -o remount,size=256m /dev/shm (docker: --shm-size)",
+        "free some of it, or enlarge it: mount -o remount,size=256m /dev/shm (docker: --shm-size)",
     );
     let folder = RunNames::create().map(|names| {
         let root = names.root.clone();
@@ -303,7 +241,7 @@ fn examine() -> Vec<Finding> {
         "cores",
         cores >= 2,
         format!("{cores}, one for each pipeline"),
-        "with one core, orchestrator and trainer share it with the ring: slower, and otherwise the same",
+        "with a single core, the orchestrator and the trainer share it with the ring: slower, but otherwise the same",
     );
     let files = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
     add(
@@ -317,7 +255,7 @@ fn examine() -> Vec<Finding> {
         "real-time priority",
         priority > 0 || rustix::process::geteuid().is_root(),
         format!("up to {priority} without privileges"),
-        "only for driving in real time: grant rtprio in /etc/security/limits.conf",
+        "needed only for driving in real time: grant rtprio in /etc/security/limits.conf",
     );
     let locked = getrlimit(Resource::Memlock).current.map_or(u64::MAX, |bytes| bytes >> 20);
     add(
@@ -327,14 +265,14 @@ fn examine() -> Vec<Finding> {
             "{} MiB",
             if locked == u64::MAX { "any number of".to_owned() } else { locked.to_string() }
         ),
-        "only for driving in real time: grant memlock in /etc/security/limits.conf",
+        "needed only for driving in real time: grant memlock in /etc/security/limits.conf",
     );
     let (dead, stray) = (runtime::run::dead_runs().len(), stale_segments().len());
     add(
         "leftovers",
         dead + stray == 0,
         format!("{dead} dead runs, {stray} stray segments"),
-        "remove them: pathtune clean (the next training does it too)",
+        "remove them with: pathtune clean (the next run does so, too)",
     );
     findings
 }

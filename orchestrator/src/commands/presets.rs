@@ -1,27 +1,35 @@
-//! `pathtune config` and `pathtune schema`: what the binary carries, printed or written.
+//! `pathtune config` and `pathtune schema`: print or write what is embedded in the binary.
 
 use std::fs;
 
+use toml::{Table, Value};
+
 use crate::cli::{ConfigCommand, SchemaArgs};
 use crate::words::Failure;
+use crate::words::tables::table_of;
 use crate::words::terminal::say;
 
-/// Prints the messages and topics for another language.
+/// Prints the messages and topics for another language, or the schema of results.
 ///
 /// # Errors
-/// If standard output does not take it.
-pub fn print_schema(args: &SchemaArgs) -> Result<(), Failure> {
-    let text = if args.python { ipc_types::schema::python() } else { ipc_types::schema::c() };
+/// If it cannot be written to standard output.
+pub(crate) fn print_schema(args: &SchemaArgs) -> Result<(), Failure> {
+    let text = match args {
+        SchemaArgs { result: true, .. } => outcome::schema(),
+        SchemaArgs { python: true, .. } => ipc_types::schema::python(),
+        _ => ipc_types::schema::c(),
+    };
     say!("{}", text.trim_end());
     Ok(())
 }
 
-/// Prints or writes the embedded presets.
+/// Lists, prints or writes the embedded presets.
 ///
 /// # Errors
-/// If no preset is meant, or a file is there already.
-pub fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
+/// If no preset matches, or a file exists already.
+pub(crate) fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
     match command {
+        ConfigCommand::List => list()?,
         ConfigCommand::Show { name } => {
             let word = name.as_deref().unwrap_or_default();
             let shown: Vec<_> =
@@ -29,7 +37,7 @@ pub fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
             if shown.is_empty() {
                 let paths: Vec<_> = config::presets().iter().map(|preset| preset.path).collect();
                 return Err(Failure::User(format!(
-                    "no preset's path holds {word:?}; there are {}",
+                    "no preset's path contains {word:?}; there are {}",
                     paths.join(", ")
                 )));
             }
@@ -42,7 +50,7 @@ pub fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
                 let path = folder.join(preset.path);
                 if path.exists() {
                     return Err(Failure::User(format!(
-                        "{} is there already; name another folder",
+                        "{} exists already; name another folder",
                         path.display()
                     )));
                 }
@@ -60,4 +68,62 @@ pub fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
         }
     }
     Ok(())
+}
+
+/// Folders of presets of which a run uses one, each with the option that selects it.
+const CHOICES: [(&str, &str); 5] = [
+    ("maneuvers", "MANEUVER"),
+    ("vehicles", "--vehicle"),
+    ("laws", "--law"),
+    ("tuners", "--tuner"),
+    ("objectives", "--objective"),
+];
+
+fn list() -> Result<(), Failure> {
+    let mut table = table_of(&["option", "name", "what it is"]);
+    for column in table.column_iter_mut() {
+        column.set_cell_alignment(comfy_table::CellAlignment::Left);
+    }
+    for (folder, option) in CHOICES {
+        let names: Vec<&str> = match folder {
+            // The one that serves a path of the user's own is selected only by --path.
+            "maneuvers" => config::maneuver_names().collect(),
+            _ => config::names_in(folder).collect(),
+        };
+        for name in names {
+            let path = format!("{folder}/{name}.toml");
+            let text = config::presets().iter().find(|it| it.path == path).map(|it| it.text);
+            table.add_row([option, name, &summary(text.unwrap_or_default())]);
+        }
+    }
+    say!("{table}");
+    Ok(())
+}
+
+/// What a preset is: its own words, or the first sentence of its comment.
+fn summary(text: &str) -> String {
+    let table: Table = text.parse().unwrap_or_default();
+    if let Some(Value::String(summary)) = table.get("summary") {
+        return summary.clone();
+    }
+    let comment: Vec<&str> =
+        text.lines().map_while(|line| line.strip_prefix('#')).map(str::trim).collect();
+    let comment = comment.join(" ");
+    let end = ["; ", ": ", ". "].iter().filter_map(|end| comment.find(end)).min();
+    comment[..end.unwrap_or(comment.len())].trim_end_matches('.').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_choice_says_what_it_is() {
+        for preset in config::presets() {
+            if CHOICES.iter().any(|(folder, _)| preset.path.starts_with(folder)) {
+                let summary = summary(preset.text);
+                assert!((5..200).contains(&summary.len()), "{}: {summary:?}", preset.path);
+            }
+        }
+    }
 }

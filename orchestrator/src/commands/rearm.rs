@@ -6,20 +6,20 @@ use ipc_types::{Attempt, BatchHeader, Rearm, Safety};
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
 
-use crate::commands::housekeeping::living_run;
 use crate::pipeline::main_loop::describe_reasons;
+use crate::runs::living_run;
 use crate::words::Failure;
 use crate::words::terminal::say;
 
-/// The supervisor tells its state with every command: it answers within this, or not at all.
+/// The supervisor reports its state with every command: it answers within this time, or not at all.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 /// Lets one stopped vehicle of a living run drive again, or all of them.
 ///
 /// # Errors
-/// If no run is meant, no vehicle is stopped, or one is not let drive; says why.
-pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
+/// If `run` matches no run, if no vehicle is stopped, or if a vehicle is not allowed to drive, with the reason.
+pub(crate) fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
     let run = living_run(run)?;
     let observer = Observer::attach(&run.names).map_err(|why| Failure::User(why.to_string()))?;
     let states = observer.bus().observe::<Safety>()?;
@@ -47,7 +47,7 @@ pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
                 }
             }
             if let Some(slots) = &meant {
-                // Again and again: it is heard only while the vehicle stands.
+                // Sent repeatedly: the supervisor obeys it only while the vehicle stands.
                 let attempt = Attempt::between_batches(run.names.run);
                 let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
                 for slot in slots {
@@ -58,10 +58,10 @@ pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
         if Instant::now() > until {
             let why = match meant {
                 None => {
-                    "the run's supervisor tells nothing: only a drive in real time can be stopped and rearmed"
+                    "the run's supervisor does not report a state: only vehicles that drive in real time are stopped and rearmed"
                 }
                 Some(_) => {
-                    "the vehicle is not let drive: it still moves, or its odometry is missing or implausible; see \
+                    "the vehicle may not drive yet: it still moves, or its odometry is missing or implausible; see \
                      `pathtune monitor`"
                 }
             };
@@ -71,7 +71,7 @@ pub fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failure> {
     }
 }
 
-/// The slots that are meant: they are stopped, or come to a stop.
+/// The slots to rearm: those that are stopped or are being stopped.
 fn stopped(states: &[Safety], vehicle: Option<u32>) -> Result<Vec<u32>, Failure> {
     let latched: Vec<u32> = (0..)
         .zip(states)

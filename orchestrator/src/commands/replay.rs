@@ -1,4 +1,4 @@
-//! `pathtune replay`: a recording through the ordinary pipeline, its vehicle and its trainer replaced.
+//! `pathtune replay`: runs a recording through the ordinary pipeline, with the vehicle and the trainer replaced.
 
 use std::fs;
 use std::time::Duration;
@@ -11,22 +11,27 @@ use serde_json::Value;
 use toml::{Table, Value as Toml};
 
 use crate::cli::ReplayArgs;
-use crate::commands::train::run;
-use crate::pipeline::main_loop::{Interrupts, Plan};
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
+use crate::pipeline::services::Services;
+use crate::runs::folder::refuse_earlier;
 use crate::runs::preflight;
+use crate::runs::running::run;
 use crate::runs::setup::read;
 use crate::words::Failure;
 
-/// The recorded configuration, with what the user puts on top of it.
+/// The recorded configuration, with the keys that the user overrides.
 ///
 /// # Errors
-/// The user's mistakes.
+/// On a user's mistake.
 pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Failure> {
+    refuse_earlier(&args.file.display().to_string(), recorded)?;
     let mut config: Table = toml::from_str(recorded).context("the recorded configuration")?;
     if let Some(file) = &args.config {
         let origin = file.display();
         let text = read(file, "--config")?;
+        refuse_earlier(&format!("--config {origin}"), &text)?;
         let layer: Table = toml::from_str(&text)
             .map_err(|why| Failure::User(format!("--config {origin}: {}", why.message())))?;
         lay(&mut config, layer);
@@ -36,7 +41,7 @@ pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Fai
         let Some((key, value)) = assignment.split_once('=') else {
             return Err(wrong("has no '='; write --set key=value"));
         };
-        // What is no number, flag or list is a word.
+        // What is not a number, a flag or a list is a word.
         let value = toml::from_str::<Table>(&format!("it = {value}"))
             .ok()
             .and_then(|mut table| table.remove("it"))
@@ -52,7 +57,7 @@ pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Fai
         let Some(old) = table.get_mut(last) else {
             return Err(wrong("no such key in the recorded configuration"));
         };
-        // A whole number will do where the key holds any.
+        // A whole number is accepted where the key holds any number.
         *old = match (&*old, value) {
             (Toml::Float(_), Toml::Integer(whole)) => Toml::Float(whole as f64),
             (_, value) => value,
@@ -62,7 +67,7 @@ pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Fai
     Ok(RunConfig::from_resolved(&text)?)
 }
 
-/// Lays a document over another.
+/// Overrides the keys of one document by those of another.
 fn lay(under: &mut Table, over: Table) {
     for (key, value) in over {
         match (under.get_mut(&key), value) {
@@ -74,18 +79,23 @@ fn lay(under: &mut Table, over: Table) {
     }
 }
 
-/// Runs a replay in a folder of its own, removed afterwards; returns its outcome. `order` is what the processes are
-/// told, in a file of the name `order_file`.
+/// Runs a replay in a folder of its own, which is removed afterwards; returns its outcome. `order` is passed to the
+/// processes in a file named `order_file`.
 ///
 /// # Errors
-/// If the pipeline cannot be kept alive; the folder then stays, with its logs.
-pub fn replay(config: RunConfig, order_file: &str, order: &str) -> Result<Value, Failure> {
+/// If the pipeline cannot be kept alive; then the folder is kept, with its logs.
+pub fn replay(
+    config: RunConfig,
+    services: Services,
+    order_file: &str,
+    order: &str,
+) -> Result<Value, Failure> {
     let interrupted = Interrupts::new()?;
     let mut launch = Launch::train();
     launch.prefer_service(Role::Vehicle, "replayer");
     launch.prefer_service(Role::Trainer, "reviewer");
     sweep_dead_runs();
-    preflight::check_shared_memory(config.fleet().max(config.run.alphas.len()))?;
+    preflight::check_shared_memory(config.fleet().max(config.learners()))?;
     let name = format!("pathtune-replay-{}", std::process::id());
     let folder = preflight::make_folder(&std::env::temp_dir().join(name))?;
     let _lock = preflight::lock_folder(&folder)?;
@@ -93,6 +103,7 @@ pub fn replay(config: RunConfig, order_file: &str, order: &str) -> Result<Value,
     let plan = Plan {
         config,
         launch,
+        services,
         sweep: None,
         folder,
         budget: Budget { restarts: 5, within: Duration::from_secs(10) },
@@ -103,7 +114,7 @@ pub fn replay(config: RunConfig, order_file: &str, order: &str) -> Result<Value,
         interrupted,
     };
     run(&plan)?;
-    let outcome = fs::read(plan.folder.join("outcome.json")).context("the outcome")?;
+    let outcome = fs::read(plan.folder.join(outcome::OUTCOME_FILE)).context("the outcome")?;
     let outcome = serde_json::from_slice(&outcome).context("the outcome")?;
     fs::remove_dir_all(&plan.folder)?;
     Ok(outcome)

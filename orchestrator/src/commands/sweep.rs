@@ -1,48 +1,47 @@
-//! `pathtune validate` and `pathtune grid`: lists of drives through the pipeline, and their tables.
+//! `pathtune validate` and `pathtune grid`: run lists of drives through the pipeline, and print their tables.
 
-use anyhow::Context;
 use config::launch::Role;
-use config::{Gains, MAX_FLEET, RunConfig, SweepKind, SweepPlan};
-use serde_json::Value;
+use config::{MAX_FLEET, Parameters, RunConfig, SweepKind, SweepPlan};
 
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
-use crate::commands::train::run_or_unmake;
-use crate::runs::result::write_result;
-use crate::runs::setup::{self, Ended, Folder};
-use crate::words::terminal::{say, tell};
-use crate::words::{Failure, tables};
+use crate::pipeline::services::Services;
+use crate::runs::EndedRun;
+use crate::runs::result::conclude;
+use crate::runs::running::run_or_unmake;
+use crate::runs::setup::{self, Folder};
+use crate::words::Failure;
+use crate::words::terminal::tell;
 
 /// Drives the paper's gain sets, or the user's, without noise and with it.
 ///
 /// # Errors
-/// The user's mistakes, before anything was started; a pipeline that could not be kept alive.
-pub fn validate(args: &ValidateArgs) -> Result<Ended, Failure> {
-    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup)?;
-    // Whether a drive leaves the road is part of what a validation tells.
+/// On a user's mistake, before anything is started; if the pipeline cannot be kept alive.
+pub(crate) fn validate(args: &ValidateArgs, services: Services) -> Result<EndedRun, Failure> {
+    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, None)?;
+    // A validation also reports whether a drive leaves the road.
     if !args.setup.set.iter().any(|set| set.trim_start().starts_with("collision.enabled")) {
         layers.put("validate", "collision.enabled", true)?;
     }
     let mut config = layers.resolve()?;
     let sets = parse_sets(&args.gains, &config)?;
-    let rows = if sets.is_empty() { config.paper_rows().count() } else { sets.len() };
+    let rows = if sets.is_empty() { config.paper_rows().len() } else { sets.len() };
     if rows == 0 {
-        let why = "the paper has no gains for this path; name some with --gains Kv,Kl,Ks,Ki";
-        return Err(Failure::User(why.to_owned()));
+        let why = no_paper_gains(&config);
+        return Err(Failure::User(format!("{why}; give some with --gains {}", list(&config))));
     }
     fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
-    let plan =
-        SweepPlan { kind: SweepKind::Validate, repeats: args.repeats, realtime: false, sets };
-    sweep(&args.setup, config, plan, Kind::new("validate", tables::print_validation))
+    let plan = plan(&config, SweepKind::Validate, args.repeats, &sets);
+    sweep(&args.setup, config, services, plan, Kind::named("validate"))
 }
 
 /// Drives every gain set of the grid without noise.
 ///
 /// # Errors
 /// As [`validate`].
-pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
-    let mut config = setup::layers(args.maneuver.as_deref(), &args.setup)?.resolve()?;
+pub(crate) fn grid(args: &GridArgs, services: Services) -> Result<EndedRun, Failure> {
+    let mut config = setup::layers(args.maneuver.as_deref(), &args.setup, None)?.resolve()?;
     if config.noise.enabled {
-        let why = "noise.enabled: a grid is driven without noise; leave it out";
+        let why = "noise.enabled: a grid is driven without noise; leave this key out";
         return Err(Failure::User(why.to_owned()));
     }
     let sets = parse_sets(&args.gains, &config)?;
@@ -50,24 +49,28 @@ pub fn grid(args: &GridArgs) -> Result<Ended, Failure> {
         let gains = &args.gains[pair];
         return Err(Failure::User(format!("--gains {gains}: a grid drives one set at a time")));
     }
-    let drives = config.grid.len() + sets.len() + 1;
+    let drives = config.grid().len() + sets.len() + 1;
     fill_fleet(&mut config, &args.setup, drives);
-    let plan = SweepPlan { kind: SweepKind::Grid, repeats: 0, realtime: false, sets };
-    sweep(&args.setup, config, plan, Kind::new("grid", tables::print_grid))
+    let plan = plan(&config, SweepKind::Grid, 0, &sets);
+    sweep(&args.setup, config, services, plan, Kind::named("grid"))
 }
 
-/// A fleet in which as many drives as possible are made at once, unless the user wants another.
+/// Makes the fleet large enough for as many drives as possible at once, unless the user has chosen its size.
 fn fill_fleet(config: &mut RunConfig, args: &SetupArgs, drives: usize) {
     config.run.fleet = args.fleet.unwrap_or(drives.min(MAX_FLEET) as u32);
 }
 
-pub(crate) fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec<Gains>>, Failure> {
+/// Parses the values of `--gains`: each is one set for all manoeuvres of the path, or one set for each of them.
+pub(crate) fn parse_sets(
+    gains: &[String],
+    config: &RunConfig,
+) -> Result<Vec<Vec<Parameters>>, Failure> {
     let due = config.maneuvers_due();
     gains
         .iter()
         .map(|text| {
             let fail = |why: String| Failure::User(format!("--gains {text}: {why}"));
-            let sets = Gains::parse_sets(text).map_err(fail)?;
+            let sets = config.law.parse_sets(text).map_err(fail)?;
             if sets.len() != 1 && sets.len() != due.len() {
                 let names = due.join(", ");
                 return Err(fail(format!(
@@ -80,48 +83,68 @@ pub(crate) fn parse_sets(gains: &[String], config: &RunConfig) -> Result<Vec<Vec
         .collect()
 }
 
-/// What is particular to a command that makes the drives of a plan.
+/// Says why there are no gains of the paper to drive.
+pub(crate) fn no_paper_gains(config: &RunConfig) -> String {
+    match &*config.law.name {
+        "paper" => "the paper has no gains for this path".to_owned(),
+        law => format!("the paper has no gains for the law {law}"),
+    }
+}
+
+/// The names of a set's numbers, as they are typed after `--gains`.
+pub(crate) fn list(config: &RunConfig) -> String {
+    config.law.symbol_list()
+}
+
+/// The list of drives with these sets, in the form in which the pipeline reads it.
+pub(crate) fn plan(
+    config: &RunConfig,
+    kind: SweepKind,
+    repeats: u32,
+    sets: &[Vec<Parameters>],
+) -> SweepPlan {
+    let named = |set: &Vec<Parameters>| set.iter().map(|set| config.law.named(set)).collect();
+    SweepPlan { kind, repeats, realtime: false, sets: sets.iter().map(named).collect() }
+}
+
+/// What is specific to a command that makes the drives of a plan.
 pub(crate) struct Kind<'a> {
     /// Its name.
     pub(crate) name: &'a str,
-    /// Prints what the drives have come to.
-    pub(crate) print: fn(&RunConfig, &Value) -> Result<(), Failure>,
-    /// One of our services in the vehicle's role, if it is not to be the usual one.
+    /// The service in the vehicle's role, if it is not the usual one: `--adapter`.
     pub(crate) vehicle: Option<&'a str>,
-    /// Said before the first drive.
+    /// Printed before the first drive.
     pub(crate) note: Option<&'a str>,
 }
 
 impl<'a> Kind<'a> {
-    fn new(name: &'a str, print: fn(&RunConfig, &Value) -> Result<(), Failure>) -> Self {
-        Self { name, print, vehicle: None, note: None }
+    fn named(name: &'a str) -> Self {
+        Self { name, vehicle: None, note: None }
     }
 }
 
-/// Makes the drives of a plan, and prints what they have come to.
+/// Makes the drives of a plan, and prints their results.
 pub(crate) fn sweep(
     args: &SetupArgs,
     config: RunConfig,
+    services: Services,
     plan: SweepPlan,
     kind: Kind,
-) -> Result<Ended, Failure> {
-    let mut launch = setup::launch(args, Some("schedule"))?;
-    if let Some(service) = kind.vehicle {
-        launch.fill(Role::Vehicle, service)?;
+) -> Result<EndedRun, Failure> {
+    let mut launch = setup::launch(args, services, Some("schedule"))?;
+    if let Some(name) = kind.vehicle {
+        services
+            .named(Role::Vehicle, name)
+            .map_err(|why| Failure::User(format!("--adapter {name}: {why}")))?;
+        // Only our simulator is deterministic.
+        launch.fill(Role::Vehicle, name, name == services.usual(Role::Vehicle).name);
     }
     let name = format!("{}-{}", kind.name, config.maneuver);
-    let ready = setup::prepare(args, config, launch, Some(plan), Folder::New(&name))?;
-    // Behind every check of what the user asked for: a mistake is told in one line.
+    let ready = setup::prepare(args, config, launch, services, Some(plan), Folder::New(&name))?;
+    // Printed after all checks of the user's options: a mistake is reported in a single line.
     if let Some(note) = kind.note.filter(|_| !ready.plan.quiet) {
         tell!("{note}");
     }
     let facts = run_or_unmake(&ready, true)?;
-    let plan = &ready.plan;
-    let result = write_result(&plan.folder, kind.name, &plan.config, &facts)?;
-    if args.json {
-        say!("{}", serde_json::to_string_pretty(&result).context("result.json")?);
-    } else {
-        (kind.print)(&plan.config, &result)?;
-    }
-    Ok(Ended { folder: plan.folder.clone(), json: args.json })
+    conclude(&ready.plan, &facts, args.json)
 }

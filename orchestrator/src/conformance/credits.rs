@@ -8,9 +8,9 @@ use super::checks::Findings;
 use super::stand::{ANSWER, Seen, Stand};
 use crate::words::Failure;
 
-/// Waits for the credits of whoever records.
+/// Whether the vehicle waits for the credits of the recorder.
 pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
-    // Whoever counts otherwise was told so.
+    // A vehicle that counts otherwise has failed those checks already.
     if ["waits", "one_each", "ticks"].iter().any(|id| to.has_failed(id)) {
         return Ok(());
     }
@@ -20,18 +20,22 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
 
 fn recorded(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     let Some(first) = stand.begin(1, DriveRequest::RECORDED)? else {
-        to.note("credit_recorded", false, "no tick 0 without a credit, though 512 ticks are free");
+        to.note(
+            "credit_recorded",
+            false,
+            "no tick 0 before a credit, although the first 512 ticks need none",
+        );
         return Ok(());
     };
     let Some(last) = stand.drive(first, Credit::AHEAD - 1, |_| Command::default())?.pop() else {
         return Ok(());
     };
     if last.header.tick != Credit::AHEAD - 1 {
-        let seen = format!("fell silent behind tick {}", last.header.tick);
+        let seen = format!("fell silent after tick {}", last.header.tick);
         to.note("credit_recorded", false, seen);
         return Ok(());
     }
-    // Behind the last tick that is free.
+    // After the last tick that needs no credit.
     stand.answer(&last, Command::default())?;
     if !stand.is_silent()? {
         to.note("credit_recorded", false, format!("tick {} without a credit", Credit::AHEAD));
@@ -48,12 +52,12 @@ fn recorded(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
         "another attempt: silent {attempt_is_quiet}; another source: silent {source_is_quiet}"
     );
     if !to.note("credit_of_another", attempt_is_quiet && source_is_quiet, seen) {
-        to.skip(&["credit_recorded"], "credits of others were taken for its own");
+        to.skip(&["credit_recorded"], "it accepts credits that are not meant for it");
         return Ok(());
     }
     stand.send_credit(header, DriveRequest::RECORDED, 3)?;
     let Some(next) = stand.next(ANSWER)? else {
-        to.note("credit_recorded", false, "silent behind a credit");
+        to.note("credit_recorded", false, "silent after a credit");
         return Ok(());
     };
     let seen = drive_to_its_end(stand, next)?;
@@ -61,7 +65,7 @@ fn recorded(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Drives until the vehicle falls silent; its last tick.
+/// Drives until the vehicle falls silent; returns its last tick.
 fn drive_to_its_end(stand: &mut Stand, from: Seen) -> Result<u64, Failure> {
     let mut last = from;
     for _ in 0..10 {
@@ -84,7 +88,7 @@ fn logged(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     stand.send_credit(header, DriveRequest::LOGGED, 0)?;
     let first = stand.first(ANSWER)?;
     let seen =
-        if first.is_some() { "tick 0 behind the first credit" } else { "silent behind a credit" };
+        if first.is_some() { "tick 0 after the first credit" } else { "silent after a credit" };
     to.note("credit_logged", first.is_some(), seen);
     Ok(())
 }

@@ -13,13 +13,13 @@ use crate::pipeline::process::describe;
 use crate::words::Failure;
 
 const READY_WITHIN_NS: u64 = 5_000_000_000;
-/// A vehicle that is late is waited for a little longer, so that the rest can be looked at.
+/// How long to wait for a late vehicle, so that the other checks can still be made.
 const READY_AT_LAST: Duration = Duration::from_secs(12);
 /// Signs of life are due every 100 ms; a machine under load may be late.
 const GAP_NS: u64 = 400_000_000;
 const ENDS_WITHIN: Duration = Duration::from_secs(5);
 
-/// The first start. Whether the vehicle can be looked at further.
+/// The first start. Returns whether the vehicle can be checked further.
 pub(super) fn becomes_ready(stand: &mut Stand, to: &mut Findings) -> Result<bool, Failure> {
     stand.start()?;
     if !stand.wait(READY_AT_LAST, |stand| stand.beat.is_some())? {
@@ -43,18 +43,18 @@ pub(super) fn becomes_ready(stand: &mut Stand, to: &mut Findings) -> Result<bool
     to.note("capacity", (1..=256).contains(&capacity), capacity.to_string());
     stand.pass(Duration::from_millis(1200))?;
     let heard = stand.heard.len();
-    to.note("quiet_at_first", heard == 0, format!("{heard} odometries"));
+    to.note("quiet_at_first", heard == 0, format!("{heard} odometry messages"));
     stand.heard.clear();
     Ok(true)
 }
 
-/// Killed and started again, in the middle of a drive.
+/// Kills the vehicle in the middle of a drive, and starts it again.
 pub(super) fn restarts(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     if stand.process.is_none() || stand.begin(1, 0)?.is_none() {
         return Ok(());
     }
     if stand.realtime {
-        // So far on that a drive which begins anew can be told from one that goes on.
+        // Far enough into the drive that a new beginning can be told from a continuation.
         stand.pass(Duration::from_millis(300))?;
     }
     let gap_ns = since_beat(stand);
@@ -69,7 +69,7 @@ pub(super) fn restarts(stand: &mut Stand, to: &mut Findings) -> Result<(), Failu
         None => format!("after {:.2} s, incarnation {incarnation}", took_ns as f64 / 1e9),
     };
     let in_time = took_ns <= READY_WITHIN_NS && (incarnation == 2 || to.has_failed("incarnation"));
-    // Who is late, is so at every start, and was told so.
+    // A late vehicle is late at every start, and has failed the check `ready` for it.
     if !to.note("restart", ready && (in_time || to.has_failed("ready")), seen) {
         return Ok(());
     }
@@ -92,7 +92,7 @@ pub(super) fn restarts(stand: &mut Stand, to: &mut Findings) -> Result<(), Failu
     Ok(())
 }
 
-/// The tick that is due at a time, in a drive that is joined.
+/// The tick that is due at a given time, in a drive that a restarted vehicle joins.
 fn by_time(stand: &Stand, now_ns: u64) -> u64 {
     let tick_ns = stand.config.drive.tick_s * 1e9;
     (now_ns.saturating_sub(stand.header.sent_ns) as f64 / tick_ns) as u64
@@ -102,7 +102,7 @@ fn since_beat(stand: &Stand) -> u64 {
     stand.beat.map_or(0, |(_, _, at_ns)| now_ns().saturating_sub(at_ns))
 }
 
-/// SIGINT, and what is left behind it.
+/// Sends SIGINT, and looks for what the vehicle leaves behind.
 pub(super) fn ends(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     stand.pump()?;
     if stand.beat.is_some() {
@@ -146,7 +146,7 @@ pub(super) fn ends(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Processes that name the run in their environment, but for `but`.
+/// Processes that name the run in their environment, except `but`.
 fn others_of(run: u64, but: u32) -> Vec<u32> {
     let mark = format!("PATHTUNE_RUN={run:016x}");
     let Ok(entries) = fs::read_dir("/proc") else { return Vec::new() };
@@ -170,7 +170,7 @@ fn leftovers(stand: &Stand, pid: u32) -> Vec<String> {
         .into_iter()
         .chain(nodes)
         .filter(|name| runtime::cleanup::carries_pid(name, pid))
-        // Shared with those at the other end, who still live.
+        // Shared with the processes at the other end, which are still alive.
         .filter(|name| !name.ends_with(".dynamic") && !name.ends_with(".connection"))
         .collect()
 }

@@ -1,8 +1,8 @@
 //! `pathtune conformance`: whether a program keeps to the vehicle's part of the contract.
 //!
-//! It runs alone on a bus of its own. Orchestrator, supervisor and recorder are played by the `stand`; what is
-//! asked of it lies in one table, `checks`, and each check fails for its own reason: what another one needs is
-//! not blamed twice.
+//! The program runs alone on a bus of its own. The `stand` plays the orchestrator, the supervisor and the recorder.
+//! What is asked of the program is listed in one table, `checks`. Each check fails for its own reason only: where one
+//! has failed, those that depend on it do not report the same fault again.
 
 mod checks;
 mod credits;
@@ -12,7 +12,7 @@ mod protocol;
 mod realtime;
 mod stand;
 
-use std::fs::{self, File};
+use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
@@ -21,32 +21,31 @@ use comfy_table::presets::NOTHING;
 use config::launch::{Launch, Role};
 use config::{Layers, RunConfig};
 use ipc_types::Status;
-use runtime::run::{LOCK_FILE, RunNames, sweep_dead_runs};
+use runtime::run::sweep_dead_runs;
 use runtime::{Attachment, Wait};
 use serde_json::json;
 
 use crate::cli::ConformanceArgs;
-use crate::pipeline::main_loop::Interrupts;
-use crate::pipeline::process::last_lines;
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::process::{Program, last_lines};
 use crate::runs::preflight;
+use crate::runs::running::PrivateNames;
 use crate::words::Failure;
 use crate::words::terminal::say;
 use checks::{Findings, Verdict};
 use stand::{MAX_SLOTS, Stand};
 
-/// Checks a vehicle; whether nothing failed.
+/// Checks a vehicle; returns whether nothing failed.
 ///
 /// # Errors
-/// The user's mistakes; if the stand itself fails.
-pub fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
+/// On a user's mistake, or if the stand itself fails.
+pub(crate) fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
     let interrupted = Interrupts::new()?;
     let config = resolve(args)?;
     let mut launch = Launch::train();
     let command = command_of(&args.command)?;
-    launch.replace(&format!("vehicle={command}"))?;
+    launch.replace(&format!("{}={command}", Role::Vehicle.name()))?;
     preflight::check_commands(&launch)?;
-    let entry = launch.process.into_iter().find(|entry| entry.role == Role::Vehicle);
-    let entry = entry.context("the preset has a vehicle")?;
 
     sweep_dead_runs();
     preflight::check_shared_memory(MAX_SLOTS)?;
@@ -62,12 +61,9 @@ pub fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
     let text = toml::to_string(&config).context("the configuration")?;
     fs::write(folder.0.join("config.toml"), text)?;
 
-    let names = RunNames::create().map_err(|error| Failure::User(error.to_string()))?;
-    let names = Removed(names);
-    let lock = File::create(names.0.root.join(LOCK_FILE))?;
-    lock.lock()?;
+    let private = PrivateNames::create()?;
     let attachment = Attachment {
-        names: names.0.clone(),
+        names: private.names.clone(),
         folder: folder.0.clone(),
         max_len: MAX_SLOTS,
         incarnation: 0,
@@ -78,7 +74,7 @@ pub fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
         chaos: None,
     };
     let mut findings = Findings::default();
-    let mut stand = Stand::new(config, entry, attachment, interrupted)?;
+    let mut stand = Stand::new(config, Program::Command(command), attachment, interrupted)?;
     examine(args, &mut stand, &mut findings)?;
     drop(stand);
     tell(args, &findings, &folder.0)
@@ -89,7 +85,7 @@ fn examine(args: &ConformanceArgs, stand: &mut Stand, to: &mut Findings) -> Resu
     if !life::becomes_ready(stand, to)? {
         return life::ends(stand, to);
     }
-    // A car of its own pace is taken as what it says it is.
+    // A vehicle that sets its own pace is taken at its word.
     let wanted = stand.realtime;
     let says_so = ipc_types::has(stand.told().pacing, Status::REAL_TIME);
     stand.realtime |= says_so;
@@ -106,7 +102,7 @@ fn examine(args: &ConformanceArgs, stand: &mut Stand, to: &mut Findings) -> Resu
         } else {
             to.skip(
                 checks::REAL_TIME_ALONE,
-                "the vehicle drives in lockstep; --realtime asks for the other",
+                "the vehicle drives in lockstep; --realtime asks for real time",
             );
             protocol::check(stand, to)?;
             credits::check(stand, to)?;
@@ -153,10 +149,10 @@ fn resolve(args: &ConformanceArgs) -> Result<RunConfig, Failure> {
     Ok(layers.resolve()?)
 }
 
-/// Characters of what was seen that a row shows; of a failure, all of it is told below.
+/// How many characters of what was seen a row shows. For a failure, the full text follows below the table.
 const SEEN_WIDTH: usize = 60;
 
-/// Prints what was found; whether nothing failed.
+/// Prints what was found; returns whether nothing failed.
 fn tell(args: &ConformanceArgs, findings: &Findings, folder: &Path) -> Result<bool, Failure> {
     let count = |verdict| findings.rows().filter(|(_, it, _)| *it == verdict).count();
     let failed = count(Verdict::Fail);
@@ -194,13 +190,13 @@ fn tell(args: &ConformanceArgs, findings: &Findings, folder: &Path) -> Result<bo
         say!("{}: {} ({seen}); {}", check.id, check.name, check.mend);
     }
     if failed > 0 && !log.is_empty() {
-        say!("its log ends: {}", log.join(" | "));
+        say!("its log ends with: {}", log.join(" | "));
     }
     say!("{} passed, {failed} failed, {} skipped", count(Verdict::Pass), count(Verdict::Skipped));
     Ok(failed == 0)
 }
 
-/// The folder, removed with this unless the user named it.
+/// The folder, which is removed when this is dropped, unless the user named it.
 struct Folder(std::path::PathBuf, bool);
 
 impl Drop for Folder {
@@ -208,14 +204,5 @@ impl Drop for Folder {
         if !self.1 {
             let _ = fs::remove_dir_all(&self.0);
         }
-    }
-}
-
-/// Everything of the run, removed with this.
-struct Removed(RunNames);
-
-impl Drop for Removed {
-    fn drop(&mut self) {
-        self.0.remove();
     }
 }

@@ -11,7 +11,7 @@ use crate::words::Failure;
 /// Slow enough for a yard.
 const SPEED_MPS: f64 = 1.5;
 const LEFT_RAD: f64 = 0.2;
-/// Slower than this it has stopped, as far as a controller with an integral part ever does.
+/// A vehicle slower than this has stopped, as far as one whose speed controller has an integral part ever does.
 const CREEPS_MPS: f64 = 0.1;
 /// A gear takes seconds to engage.
 const PATIENCE_S: f64 = 10.0;
@@ -20,7 +20,7 @@ pub(super) fn to_drive(speed_mps: f64, steering_rad: f64) -> Command {
     Command { speed_mps, steering_rad, ..Command::default() }
 }
 
-/// Everything that moves the vehicle but for the repetition.
+/// All checks that move the vehicle, except the repeated drive.
 pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     if to.has_failed("waits") || to.has_failed("one_each") {
         return Ok(());
@@ -32,7 +32,7 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
     let left = drive(stand, last_of(straight), 1.5, to_drive(SPEED_MPS, LEFT_RAD))?;
     let turns_left = judge_left(stand, to, &left);
     let straight = drive(stand, last_of(left), 1.5, to_drive(SPEED_MPS, 0.0))?;
-    // Another heading than the path's first, which may be 0. The wheels need half a second to stand straight.
+    // A heading that differs from the path's first, which may be 0. The wheels need half a second to straighten.
     let rolled = &straight[straight.len() / 2..];
     if turns_left {
         judge_straight(stand, to, rolled);
@@ -69,7 +69,7 @@ fn drive(
     stand.drive(from, stand.ticks_of(time_s), |_| command)
 }
 
-/// Drives on until something holds, for as long as patience lasts; the last of what was seen.
+/// Drives on until a condition holds, for at most `PATIENCE_S`; returns the last odometry seen.
 fn until(
     stand: &mut Stand,
     from: Seen,
@@ -88,7 +88,7 @@ fn until(
     Ok(last)
 }
 
-/// Drives until the vehicle moves; none if it does not.
+/// Drives until the vehicle moves; returns `None` if it does not.
 pub(super) fn until_it_moves(
     stand: &mut Stand,
     to: &mut Findings,
@@ -103,7 +103,7 @@ pub(super) fn until_it_moves(
     Ok(moves.then_some(moving))
 }
 
-/// How far it came: along its first heading, and to the left of that.
+/// How far the vehicle moved: along its first heading, and to the left of it.
 fn moved(seen: &[Seen]) -> (f64, f64) {
     let (from, to) = (seen[0].first().measured, seen[seen.len() - 1].first().measured);
     let (x_m, y_m) = (to.x_m - from.x_m, to.y_m - from.y_m);
@@ -111,7 +111,7 @@ fn moved(seen: &[Seen]) -> (f64, f64) {
     (x_m * cos + y_m * sin, y_m * cos - x_m * sin)
 }
 
-/// The sum of a number times the time over which it held.
+/// The integral of a number over time.
 fn summed(stand: &Stand, seen: &[Seen], number: impl Fn(&Odometry) -> f64) -> f64 {
     seen.windows(2)
         .map(|pair| {
@@ -121,20 +121,21 @@ fn summed(stand: &Stand, seen: &[Seen], number: impl Fn(&Odometry) -> f64) -> f6
         .sum()
 }
 
-/// Whether two numbers agree within a share, or are both small.
+/// Whether two numbers agree to within a relative tolerance, or are both small.
 fn agree(a: f64, b: f64, share: f64, small: f64) -> bool {
     (a - b).abs() <= share * a.abs().max(b.abs()) + small
 }
 
 fn judge_straight(stand: &Stand, to: &mut Findings, seen: &[Seen]) {
     let (along_m, left_m) = moved(seen);
-    let seen_text = format!("{along_m:.3} m along, {left_m:.3} m aside");
+    let seen_text = format!("{along_m:.3} m along its heading, {left_m:.3} m sideways");
     to.note("forward", along_m > 0.0 && left_m.abs() <= 0.2 * along_m + 0.02, seen_text);
     let rolled_m = summed(stand, seen, |it| it.speed_mps);
     let poses =
         seen.windows(2).map(|pair| apart_m(pair[0].first().measured, pair[1].first().measured));
     let moved_m: f64 = poses.sum();
-    let seen_text = format!("{moved_m:.3} m by poses, {rolled_m:.3} m by speed");
+    let seen_text =
+        format!("{moved_m:.3} m according to the poses, {rolled_m:.3} m according to the speed");
     to.note("units_speed", agree(moved_m, rolled_m, 0.2, 0.05), seen_text);
 }
 
@@ -148,17 +149,21 @@ fn judge_left(stand: &Stand, to: &mut Findings, seen: &[Seen]) -> bool {
         return false;
     }
     let rates_rad = summed(stand, seen, |it| it.yaw_rate_radps);
-    let seen_text = format!("{turned_rad:.3} rad by yaw, {rates_rad:.3} rad by yaw rate");
+    let seen_text = format!(
+        "{turned_rad:.3} rad according to the yaw, {rates_rad:.3} rad according to the yaw rate"
+    );
     to.note("units_yaw_rate", agree(turned_rad, rates_rad, 0.2, 0.02), seen_text);
     let wheelbase_m = stand.config.vehicle.wheelbase_m;
-    // By displacement, not by the speed it tells: each is looked at once.
+    // By displacement, not by the reported speed, which has a check of its own.
     let poses = seen.windows(2).map(|pair| {
         apart_m(pair[0].first().measured, pair[1].first().measured)
             * pair[1].first().steering_rad.tan()
             / wheelbase_m
     });
     let steered_rad: f64 = poses.sum();
-    let seen_text = format!("{turned_rad:.3} rad by yaw, {steered_rad:.3} rad by steering angle");
+    let seen_text = format!(
+        "{turned_rad:.3} rad according to the yaw, {steered_rad:.3} rad according to the steering angle"
+    );
     if !to.has_failed("units_speed") {
         to.note("units_steering", agree(turned_rad, steered_rad, 0.5, 0.05), seen_text);
     }
@@ -168,7 +173,7 @@ fn judge_left(stand: &Stand, to: &mut Findings, seen: &[Seen]) -> bool {
 /// A slot that has ended stands still while the other drives on.
 fn ended_stands(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     if stand.told().capacity < 2 {
-        to.skip(&["ended_stands"], "drives one vehicle, and is silent behind its end");
+        to.skip(&["ended_stands"], "drives only one vehicle, and is silent once that has ended");
         return Ok(());
     }
     let Some(first) = stand.begin(2, 0)? else { return Ok(()) };
@@ -183,7 +188,7 @@ fn ended_stands(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The same request twice, if the same drive is claimed.
+/// Sends the same request twice, if the vehicle claims to repeat its drives.
 pub(super) fn repeats(stand: &mut Stand, to: &mut Findings, claimed: bool) -> Result<(), Failure> {
     if !claimed {
         to.skip(&["repeats"], "not claimed: --deterministic");

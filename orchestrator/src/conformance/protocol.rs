@@ -1,4 +1,5 @@
-//! What a vehicle answers to: requests, commands that are its own, and others that are not. Nothing moves.
+//! What a vehicle answers: requests, commands that are meant for it, and commands that are not. The vehicle does not
+//! move.
 
 use std::time::Duration;
 
@@ -8,20 +9,20 @@ use super::checks::Findings;
 use super::stand::{ANSWER, MAX_SLOTS, SILENCE, Seen, Stand};
 use crate::words::Failure;
 
-/// How near to its start a vehicle must stand: a real one is put there by hand.
+/// How near its start a vehicle must stand: a real one is put there by hand.
 const NEAR_M: f64 = 0.5;
 const NEAR_RAD: f64 = 0.1;
-/// Slower than this it stands.
+/// A vehicle slower than this stands still.
 pub(super) const STANDS_MPS: f64 = 0.05;
 
-/// The first request. Whether the rest can be looked at.
+/// The first request. Returns whether the other checks can be made.
 pub(super) fn begins(stand: &mut Stand, to: &mut Findings) -> Result<bool, Failure> {
     stand.request(1, 0)?;
     let Some(first) = stand.next(Duration::from_secs(2))? else {
         to.note(
             "answers_request",
             false,
-            stand.died.clone().unwrap_or("nothing in 2 s".to_owned()),
+            stand.died.clone().unwrap_or("no answer in 2 s".to_owned()),
         );
         return Ok(false);
     };
@@ -43,7 +44,7 @@ pub(super) fn begins(stand: &mut Stand, to: &mut Findings) -> Result<bool, Failu
     Ok(names_batch && names_attempt)
 }
 
-/// What must hold of each drive's first odometry.
+/// What must hold for the first odometry of each drive.
 pub(super) fn begins_well(stand: &Stand, to: &mut Findings, first: &Seen) {
     let tick = first.header.tick;
     to.note("tick_zero", tick == 0, format!("tick {tick}"));
@@ -52,7 +53,7 @@ pub(super) fn begins_well(stand: &Stand, to: &mut Findings, first: &Seen) {
         let apart_m = apart_m(at, start);
         let turned_rad = (at.yaw_rad - start.yaw_rad).abs();
         let is_near = apart_m <= NEAR_M && turned_rad <= NEAR_RAD;
-        let seen = format!("slot {index}: {apart_m:.3} m and {turned_rad:.3} rad from it");
+        let seen = format!("slot {index}: {apart_m:.3} m and {turned_rad:.3} rad off");
         to.note("start_pose", is_near, seen);
         let rests = item.speed_mps.abs() <= STANDS_MPS && item.yaw_rate_radps.abs() <= STANDS_MPS;
         let seen = format!("slot {index}: {:.3} m/s", item.speed_mps);
@@ -64,7 +65,7 @@ pub(super) fn apart_m(a: WirePose, b: WirePose) -> f64 {
     (a.x_m - b.x_m).hypot(a.y_m - b.y_m)
 }
 
-/// Lockstep.
+/// The checks of lockstep.
 pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     let Some(first) = stand.begin(1, 0)? else { return Ok(()) };
     let waits = stand.is_silent()?;
@@ -95,10 +96,10 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
         let seen = if silent { "silent" } else { "obeyed" };
         dropped += u64::from(to.note(id, silent, seen));
         if silent {
-            // Its own command is still taken.
+            // A valid command is still obeyed.
             stand.answer(&last, Command::default())?;
             if stand.next(ANSWER)?.is_none() {
-                to.note(id, false, "silent behind its own command too");
+                to.note(id, false, "silent after a valid command, too");
             }
         }
     }
@@ -112,16 +113,16 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
     fleet(stand, to)
 }
 
-/// The header, as if of another attempt.
+/// The header with its attempt changed.
 fn of(mut header: TickHeader, change: impl FnOnce(&mut Attempt)) -> TickHeader {
     change(&mut header.attempt);
     header
 }
 
-/// Makes of a good header one that is not as it should be, with a number of elements.
+/// Turns a good header into a bad one, and gives the number of elements to send with it.
 pub(super) type Spoil = fn(TickHeader) -> (TickHeader, usize);
 
-/// Commands for a drive of one slot that are not to be obeyed.
+/// Commands, for a drive of one slot, that must not be obeyed.
 pub(super) const SPOILT: [(&str, Spoil); 7] = [
     ("drops_run", |header| (of(header, |attempt| attempt.run ^= 2), 1)),
     ("drops_batch", |header| (of(header, |attempt| attempt.batch -= 1), 1)),
@@ -132,26 +133,26 @@ pub(super) const SPOILT: [(&str, Spoil); 7] = [
     ("drops_length", |header| (header, 2)),
 ];
 
-/// Ticks and stamps over some commands.
+/// Ticks and stamps over a number of commands.
 fn counts(stand: &mut Stand, to: &mut Findings, from: Seen) -> Result<(), Failure> {
     let seen = stand.drive(from, 100, |_| Command::default())?;
     let mut wrong = None;
     for pair in seen.windows(2) {
         let (before, now) = (&pair[0], &pair[1]);
         if now.header.tick != before.header.tick + 1 {
-            wrong.get_or_insert(format!("{} behind {}", now.header.tick, before.header.tick));
+            wrong.get_or_insert(format!("{} after {}", now.header.tick, before.header.tick));
         }
         let applied_ns = now.header.applied_ns;
         let is_between = applied_ns >= before.heard_ns && applied_ns <= now.header.odometry_sent_ns;
         let seen = format!(
-            "tick {}: {applied_ns}, between {} and {}",
+            "tick {}: {applied_ns}, which must lie between {} and {}",
             now.header.tick, before.heard_ns, now.header.odometry_sent_ns
         );
         to.note("applied", is_between, seen);
     }
     let seen_ticks = seen.len() - 1;
     if wrong.is_none() && seen_ticks < 100 {
-        wrong = Some(format!("silent behind {seen_ticks} commands"));
+        wrong = Some(format!("silent after {seen_ticks} commands"));
     }
     to.note("ticks", wrong.is_none(), wrong.unwrap_or("100 in a row".to_owned()));
     Ok(())
@@ -168,14 +169,14 @@ pub(super) fn not_finite(stand: &mut Stand, to: &mut Findings) -> Result<(), Fai
             to.note(
                 "not_finite",
                 speed_mps.abs() <= STANDS_MPS,
-                format!("{speed_mps:.3} m/s behind it"),
+                format!("{speed_mps:.3} m/s after it"),
             );
         }
         None => {
             to.note(
                 "not_finite",
                 false,
-                stand.died.clone().unwrap_or("silent behind it".to_owned()),
+                stand.died.clone().unwrap_or("silent after it".to_owned()),
             );
         }
     }
@@ -192,7 +193,7 @@ fn ended(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     if slots == 2 {
         stand.send_commands(stand.answer_to(last.header), &[end, Command::default()])?;
         let Some(next) = stand.next(ANSWER)? else {
-            to.note("ended_flag", false, "silent, though one slot drives on");
+            to.note("ended_flag", false, "silent, although one slot drives on");
             return Ok(());
         };
         if next.items.len() == 2 {
@@ -202,15 +203,15 @@ fn ended(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
         }
         last = next;
     } else {
-        to.skip(&["ended_flag"], "drives one vehicle, and is silent behind its end");
+        to.skip(&["ended_flag"], "drives only one vehicle, and is silent once that has ended");
     }
     stand.answer(&last, end)?;
     let silent = stand.is_silent()?;
-    to.note("over_is_silent", silent, if silent { "silent" } else { "odometry behind the end" });
+    to.note("over_is_silent", silent, if silent { "silent" } else { "odometry after the end" });
     Ok(())
 }
 
-/// A request while a drive is under way, and another attempt; in both modes.
+/// A request during a drive, and another attempt; in both modes.
 pub(super) fn begins_anew(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     let Some(first) = stand.begin(1, 0)? else { return Ok(()) };
     stand.drive(first, 5, |_| Command::default())?;
@@ -239,12 +240,12 @@ pub(super) fn begins_anew(stand: &mut Stand, to: &mut Findings) -> Result<(), Fa
 pub(super) fn fleet(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     let slots = (stand.told().capacity as usize).min(MAX_SLOTS);
     let Some(first) = stand.begin(slots, 0)? else {
-        to.note("fleet", false, format!("nothing behind a request of {slots}"));
+        to.note("fleet", false, format!("no answer to a request for {slots} slots"));
         return Ok(());
     };
     let is_there =
         |(index, item): (usize, &Odometry)| apart_m(item.measured, stand.start_of(index)) <= NEAR_M;
-    // How many there are is told by `elements`, where the first one stands by `start_pose`.
+    // The check `elements` covers how many there are, and `start_pose` where the first one stands.
     let there = first.items.iter().enumerate().filter(|it| is_there(*it)).count();
     let fits = there + 1 >= first.items.len()
         && (there == first.items.len() || to.has_failed("start_pose"));
@@ -252,7 +253,7 @@ pub(super) fn fleet(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
     Ok(())
 }
 
-/// Publishers that go and come back, in the middle of a drive.
+/// Publishers that disappear and come back in the middle of a drive.
 pub(super) fn goes_on_behind_a_restart(
     stand: &mut Stand,
     to: &mut Findings,
@@ -276,7 +277,7 @@ pub(super) fn goes_on_behind_a_restart(
     Ok(())
 }
 
-/// What held of all odometry.
+/// Reports what was noted of all odometry.
 pub(super) fn sum_up(stand: &Stand, to: &mut Findings) {
     let odd = &stand.oddities;
     if odd.heard == 0 {

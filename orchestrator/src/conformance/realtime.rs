@@ -10,7 +10,7 @@ use super::protocol::{self, SPOILT, STANDS_MPS};
 use super::stand::{ANSWER, Seen, Stand};
 use crate::words::Failure;
 
-/// What does not move the vehicle.
+/// The checks that do not move the vehicle.
 pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     paces(stand, to)?;
     let Some(stale) = goes_stale(stand, to)? else { return Ok(()) };
@@ -21,7 +21,7 @@ pub(super) fn check(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure>
     protocol::fleet(stand, to)
 }
 
-/// A machine that is busy with other things makes a right vehicle late; a wrong one is wrong each time.
+/// On a busy machine a correct vehicle may be late; a faulty one is late every time.
 const TRIES: u32 = 5;
 
 /// Rate, regularity, and ticks that follow the clock.
@@ -29,7 +29,7 @@ fn paces(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     for left in (0..TRIES).rev() {
         let Some(first) = stand.begin(1, 0)? else { return Ok(()) };
         let seen = stand.drive(first, stand.ticks_of(2.0), |_| Command::default())?;
-        let pace = Pace::new(stand, &seen);
+        let pace = SeenPacing::new(stand, &seen);
         if pace.is_good() || left == 0 {
             pace.note(to);
             break;
@@ -39,7 +39,7 @@ fn paces(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
 }
 
 /// How a vehicle paced, in ticks.
-struct Pace {
+struct SeenPacing {
     heard: usize,
     due: f64,
     gaps: Vec<f64>,
@@ -47,7 +47,7 @@ struct Pace {
     most_off: f64,
 }
 
-impl Pace {
+impl SeenPacing {
     fn new(stand: &Stand, seen: &[Seen]) -> Self {
         let tick_ns = stand.config.drive.tick_s * 1e9;
         let from = &seen[0].header;
@@ -63,7 +63,7 @@ impl Pace {
             heard: seen.len() - 1,
             due: since(&seen[seen.len() - 1]),
             falls: falls
-                .map(|pair| format!("{} behind {}", pair[1].header.tick, pair[0].header.tick)),
+                .map(|pair| format!("{} after {}", pair[1].header.tick, pair[0].header.tick)),
             most_off: seen.iter().map(off).fold(0.0, f64::max),
             gaps,
         }
@@ -96,7 +96,7 @@ impl Pace {
     }
 }
 
-/// No command: the own stop is told. The newest odometry then.
+/// Without commands, the vehicle must report its own stop. Returns the newest odometry then.
 fn goes_stale(stand: &mut Stand, to: &mut Findings) -> Result<Option<Seen>, Failure> {
     let Some(first) = stand.begin(1, 0)? else { return Ok(None) };
     let fresh = stand.drive(first, 50, |_| Command::default())?;
@@ -105,19 +105,19 @@ fn goes_stale(stand: &mut Stand, to: &mut Findings) -> Result<Option<Seen>, Fail
         to.note(
             "own_stop",
             false,
-            format!("{told} of {} although commands are fresh", fresh.len()),
+            format!("{told} of {} report it although commands are fresh", fresh.len()),
         );
         return Ok(None);
     }
     let stale = after_silence(stand)?;
     let is_told = stale.as_ref().is_some_and(|seen| seen.has(Odometry::OWN_STOP));
     let text = if stale.is_some() {
-        "told behind command_age_limit_s"
+        "reported after command_age_limit_s"
     } else {
         "no odometry without commands"
     };
     let text =
-        if is_told || stale.is_none() { text } else { "not told behind command_age_limit_s" };
+        if is_told || stale.is_none() { text } else { "not reported after command_age_limit_s" };
     Ok(if to.note("own_stop", is_told, text) { stale } else { None })
 }
 
@@ -129,11 +129,11 @@ fn after_silence(stand: &mut Stand) -> Result<Option<Seen>, Failure> {
     stand.next(ANSWER)
 }
 
-/// Commands that are not its own end no own stop; a fresh one of its own does.
+/// A command that is not meant for the vehicle does not end its own stop; a fresh one that is does.
 fn drops(stand: &mut Stand, to: &mut Findings, mut newest: Seen) -> Result<(), Failure> {
     let dropped_before = stand.told().dropped;
     let mut dropped = 0;
-    // What a stale tick is cannot be seen here: the newest command counts, whatever tick it answers.
+    // A stale tick cannot be recognised here: the newest command counts, whichever tick it answers.
     let spoilt = SPOILT.iter().filter(|(id, _)| !id.ends_with("_tick"));
     for (id, spoil) in spoilt {
         let mut holds = true;
@@ -144,7 +144,7 @@ fn drops(stand: &mut Stand, to: &mut Findings, mut newest: Seen) -> Result<(), F
             holds &= next.has(Odometry::OWN_STOP);
             newest = next;
         }
-        let text = if holds { "the own stop stays" } else { "taken for a fresh one" };
+        let text = if holds { "the own stop goes on" } else { "accepted as a fresh command" };
         dropped += 5 * u64::from(to.note(id, holds, text));
         if let Some(next) = after_silence(stand)? {
             newest = next;
@@ -168,29 +168,37 @@ fn drops(stand: &mut Stand, to: &mut Findings, mut newest: Seen) -> Result<(), F
     stand.heard.clear();
     let stays = stand.next(ANSWER)?.is_some_and(|seen| seen.has(Odometry::OWN_STOP));
     let (rose, count) = stand.wait_for_count(late_before, |told| told.late)?;
-    to.note("counts_late", rose && stays, format!("counted {count}, the own stop stays: {stays}"));
+    to.note(
+        "counts_late",
+        rose && stays,
+        format!("counted {count}, the own stop goes on: {stays}"),
+    );
 
     let Some(newest) = after_silence(stand)? else { return Ok(()) };
     let fresh = stand.drive(newest, 20, |_| Command::default())?;
     let resumed = fresh.iter().any(|seen| !seen.has(Odometry::OWN_STOP));
-    to.note("resumes", resumed, if resumed { "OWN_STOP is gone" } else { "OWN_STOP stays" });
+    to.note("resumes", resumed, if resumed { "OWN_STOP is cleared" } else { "OWN_STOP stays set" });
     Ok(())
 }
 
-/// Behind ENDED it says so, and publishes on.
+/// After ENDED the vehicle reports it, and goes on publishing.
 fn ends(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     let Some(first) = stand.begin(1, 0)? else { return Ok(()) };
     let end = Command { flags: Command::ENDED, ..Command::default() };
     let seen = stand.drive(first, 20, |_| end)?;
     let is_told = seen[seen.len() - 1].has(Odometry::ENDED);
-    to.note("ended_flag", is_told, if is_told { "ENDED is told" } else { "ENDED is not told" });
+    to.note(
+        "ended_flag",
+        is_told,
+        if is_told { "ENDED is reported" } else { "ENDED is not reported" },
+    );
     stand.heard.clear();
     let goes_on = stand.next(ANSWER)?.is_some();
-    to.note("goes_on", goes_on, if goes_on { "publishes on" } else { "silent behind ENDED" });
+    to.note("goes_on", goes_on, if goes_on { "goes on publishing" } else { "silent after ENDED" });
     Ok(())
 }
 
-/// At speed, and then without a command.
+/// At speed, and then without commands.
 pub(super) fn stops_on_its_own(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     if to.has_failed("own_stop") {
         return Ok(());
@@ -205,7 +213,7 @@ pub(super) fn stops_on_its_own(stand: &mut Stand, to: &mut Findings) -> Result<(
     let seen: Vec<Seen> =
         stand.heard.drain(..).filter(|seen| seen.has(Odometry::OWN_STOP)).collect();
     let Some(last) = seen.last() else { return Ok(()) };
-    // Over some ticks each: one may carry another one's share.
+    // Each measured over several ticks: one tick may carry the share of another.
     let hardest = seen.iter().zip(seen.iter().skip(20)).map(|(before, after)| {
         let time_s = (after.header.tick - before.header.tick) as f64 * stand.config.drive.tick_s;
         (before.first().speed_mps - after.first().speed_mps) / time_s

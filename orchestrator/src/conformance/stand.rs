@@ -1,11 +1,10 @@
-//! The test stand: a run of its own with the vehicle as its only process, and the sides that it talks to played here.
+//! The test stand: a run with the vehicle as its only process. The stand plays the processes that the vehicle talks to.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use config::RunConfig;
-use config::launch::ProcessEntry;
 use ipc_types::{
     Attempt, BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WirePose,
     has,
@@ -13,18 +12,18 @@ use ipc_types::{
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Inlet, Outlet};
 
-use crate::pipeline::main_loop::Interrupts;
-use crate::pipeline::process::{Process, clean_up_behind, describe};
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::process::{Process, Program, clean_up_behind, describe};
 use crate::words::Failure;
 
-/// The most slots that are driven at once.
+/// The largest number of slots that are driven at once.
 pub(super) const MAX_SLOTS: usize = 16;
-/// So long nothing may come before it counts as silence.
+/// If nothing comes for this long, the vehicle is silent.
 pub(super) const SILENCE: Duration = Duration::from_millis(80);
-/// So long an answer may take: it is one tick of lockstep.
+/// How long an answer may take: it is one tick of lockstep.
 pub(super) const ANSWER: Duration = Duration::from_secs(1);
 
-/// One odometry that was heard.
+/// One odometry message that was received.
 #[derive(Debug, Clone)]
 pub(super) struct Seen {
     pub(super) header: TickHeader,
@@ -37,13 +36,13 @@ impl Seen {
         self.items.first().copied().unwrap_or_default()
     }
 
-    /// Bits that any slot has.
+    /// Whether any slot has a bit.
     pub(super) fn has(&self, bit: u32) -> bool {
         self.items.iter().any(|item| has(item.status, bit))
     }
 }
 
-/// What is told of all odometry, whoever asked for it.
+/// What is noted of all odometry, whichever request led to it.
 #[derive(Debug, Default)]
 pub(super) struct Oddities {
     pub(super) heard: u64,
@@ -52,7 +51,7 @@ pub(super) struct Oddities {
     pub(super) stamps: Option<String>,
 }
 
-/// Those that speak to the vehicle, on a bus of their own, so that they can go and come back.
+/// The ports that send to the vehicle, on a bus of their own, so that they can disappear and come back.
 struct Sides {
     requests: Outlet<DriveRequest>,
     commands: Outlet<Command>,
@@ -71,21 +70,22 @@ impl Sides {
 pub(super) struct Stand {
     pub(super) config: RunConfig,
     pub(super) realtime: bool,
-    entry: ProcessEntry,
+    program: Program,
     log: PathBuf,
     pub(super) attachment: Attachment,
     /// Holds the topics.
     _bus: Bus,
     status: Inlet<Status>,
     odometry: Inlet<Odometry>,
-    /// None only while others take their place.
+    /// `None` only while new ones take their place.
     sides: Option<Sides>,
     interrupted: Interrupts,
     pub(super) process: Option<Process>,
-    /// How it died, if nobody asked it to.
+    /// How the process died, if it was not asked to stop.
     pub(super) died: Option<String>,
     pub(super) started_ns: u64,
-    /// The last sign of life with its header and time, and the longest gap between two of one incarnation.
+    /// The last sign of life with its header and time; `longest_gap_ns` is the longest gap between two of one
+    /// incarnation.
     pub(super) beat: Option<(BatchHeader, Status, u64)>,
     pub(super) longest_gap_ns: u64,
     pub(super) heard: VecDeque<Seen>,
@@ -99,7 +99,7 @@ pub(super) struct Stand {
 impl Stand {
     pub(super) fn new(
         config: RunConfig,
-        entry: ProcessEntry,
+        program: Program,
         attachment: Attachment,
         interrupted: Interrupts,
     ) -> Result<Self, Failure> {
@@ -108,7 +108,7 @@ impl Stand {
         Ok(Self {
             realtime: config.run.realtime,
             config,
-            entry,
+            program,
             log,
             status: bus.inlet()?,
             odometry: bus.observe()?,
@@ -132,17 +132,17 @@ impl Stand {
         })
     }
 
-    /// Starts the vehicle, once more if it was started before.
+    /// Starts the vehicle, or starts it again.
     pub(super) fn start(&mut self) -> Result<(), Failure> {
         self.attachment.incarnation += 1;
         self.beat = None;
-        let process = Process::start(&self.entry, &self.attachment, &self.log)?;
+        let process = Process::start(&self.program, &self.attachment, &self.log)?;
         self.process = Some(process);
         self.started_ns = now_ns();
         Ok(())
     }
 
-    /// Kills the vehicle, and cleans up behind it as an orchestrator does.
+    /// Kills the vehicle, and cleans up after it as the orchestrator does.
     pub(super) fn kill(&mut self) -> Result<(), Failure> {
         if let Some(mut process) = self.process.take() {
             process.kill();
@@ -161,7 +161,7 @@ impl Stand {
         Duration::from_secs_f64(self.config.drive.tick_s)
     }
 
-    /// Takes whatever has come.
+    /// Receives all messages that have arrived.
     pub(super) fn pump(&mut self) -> Result<bool, Failure> {
         if let Some(signal) = self.interrupted.signal() {
             return Err(Failure::Interrupted(signal));
@@ -175,12 +175,12 @@ impl Stand {
         let mut any = false;
         while let Some(message) = self.status.receive()? {
             let Some(status) = message.items().first().copied() else { continue };
-            // A beat of an incarnation before this one may still lie there.
+            // A beat of an earlier incarnation may still be in the buffer.
             if self.attachment.incarnation > 1 && status.incarnation < self.attachment.incarnation {
                 continue;
             }
             let (header, now) = (message.header(), now_ns());
-            // As it was sent: the stand may have been busy itself.
+            // The time at which it was sent: the stand itself may have been busy.
             let is_stamped = header.sent_ns <= now && now - header.sent_ns < 5_000_000_000;
             let at_ns = if is_stamped { header.sent_ns } else { now };
             if let Some((_, _, before_ns)) = self.beat {
@@ -198,7 +198,7 @@ impl Stand {
         Ok(any)
     }
 
-    /// What must hold of every odometry.
+    /// What must hold for every odometry message.
     fn look_at(&mut self, header: TickHeader, items: &[Odometry]) {
         let tick = header.tick;
         self.oddities.heard += 1;
@@ -214,23 +214,24 @@ impl Stand {
             }
         }
         if names_same(header.attempt, self.header.attempt) && items.len() != self.slots {
-            let seen = format!("tick {tick}: {} elements of {}", items.len(), self.slots);
+            let seen =
+                format!("tick {tick}: {} elements where {} are due", items.len(), self.slots);
             self.oddities.elements.get_or_insert(seen);
         }
         let (before, now) = (self.last, now_ns());
         let follows = names_same(before.attempt, header.attempt);
         let sent_ns = header.odometry_sent_ns;
         if sent_ns > now || now - sent_ns > 5_000_000_000 {
-            let seen = format!("tick {tick}: {sent_ns}, heard at {now}");
+            let seen = format!("tick {tick}: {sent_ns}, received at {now}");
             self.oddities.stamps.get_or_insert(seen);
         } else if follows && sent_ns <= before.odometry_sent_ns {
-            let seen = format!("tick {tick}: {sent_ns} behind {}", before.odometry_sent_ns);
+            let seen = format!("tick {tick}: {sent_ns} after {}", before.odometry_sent_ns);
             self.oddities.stamps.get_or_insert(seen);
         }
         self.last = header;
     }
 
-    /// Waits until something holds; whether it did in time. A dead vehicle is not waited for.
+    /// Waits until a condition holds; returns whether it did in time. Does not wait for a dead vehicle.
     pub(super) fn wait(
         &mut self,
         at_most: Duration,
@@ -251,23 +252,23 @@ impl Stand {
                 self.sides().bus.look_for_readers();
             }
             if !any {
-                // Its core may be this one.
+                // The vehicle may run on this core.
                 std::thread::sleep(Duration::from_micros(if looks < 20 { 20 } else { 200 }));
             }
         }
     }
 
-    /// Lets so much time pass.
+    /// Lets this much time pass.
     pub(super) fn pass(&mut self, time: Duration) -> Result<(), Failure> {
         self.wait(time, |_| false).map(|_| ())
     }
 
-    /// Whether nothing comes for a while.
+    /// Whether no odometry comes for a while.
     pub(super) fn is_silent(&mut self) -> Result<bool, Failure> {
         Ok(!self.wait(SILENCE, |stand| !stand.heard.is_empty())?)
     }
 
-    /// Where slot `index` is to stand: where the configuration says, and beside it.
+    /// Where slot `index` must stand: slot 0 at the start in the configuration, the others next to it.
     pub(super) fn start_of(&self, index: usize) -> WirePose {
         let start = self.config.path.start;
         WirePose { x_m: start.x_m, y_m: start.y_m + 5.0 * index as f64, yaw_rad: start.yaw_rad }
@@ -305,7 +306,7 @@ impl Stand {
         Ok(())
     }
 
-    /// The first odometry of the batch, and of no other.
+    /// The first odometry of this batch; that of others is dropped.
     pub(super) fn first(&mut self, at_most: Duration) -> Result<Option<Seen>, Failure> {
         let of = self.header.attempt;
         self.wait(at_most, |stand| {
@@ -319,19 +320,19 @@ impl Stand {
         Ok(None)
     }
 
-    /// The oldest odometry that was not looked at.
+    /// The oldest odometry that was not taken yet.
     pub(super) fn next(&mut self, at_most: Duration) -> Result<Option<Seen>, Failure> {
         self.wait(at_most, |stand| !stand.heard.is_empty())?;
         Ok(self.heard.pop_front())
     }
 
-    /// A new batch, and its first odometry.
+    /// Requests a new batch, and returns its first odometry.
     pub(super) fn begin(&mut self, slots: usize, flags: u32) -> Result<Option<Seen>, Failure> {
         self.request(slots, flags)?;
         self.first(Duration::from_secs(2))
     }
 
-    /// The header of the command that answers an odometry now.
+    /// The header of a command that answers this odometry now.
     pub(super) fn answer_to(&self, header: TickHeader) -> TickHeader {
         let now = now_ns();
         TickHeader {
@@ -352,7 +353,7 @@ impl Stand {
         Ok(())
     }
 
-    /// Answers an odometry with the same command for each slot.
+    /// Answers odometry with the same command for each slot.
     pub(super) fn answer(&self, seen: &Seen, command: Command) -> Result<TickHeader, Failure> {
         let header = self.answer_to(seen.header);
         self.send_commands(header, &vec![command; self.slots])?;
@@ -370,8 +371,8 @@ impl Stand {
         Ok(())
     }
 
-    /// Drives on from `from` for so many ticks, each with the command that `command` gives for what was seen.
-    /// What was seen, `from` included; shorter if the vehicle fell silent.
+    /// Drives on from `from` for the given number of ticks; `command` gives the command for each odometry.
+    /// Returns all odometry, `from` included; less if the vehicle fell silent.
     pub(super) fn drive(
         &mut self,
         from: Seen,
@@ -390,24 +391,24 @@ impl Stand {
         Ok(seen)
     }
 
-    /// Other publishers in the place of those that there were.
+    /// Replaces the publishers by new ones.
     pub(super) fn replace_publishers(&mut self) -> Result<(), Failure> {
-        // Each topic has one place: it must be free before it is taken again.
+        // Each topic has room for one publisher: the old one must go before a new one can come.
         self.sides = None;
         self.sides = Some(Sides::new(&self.attachment)?);
         Ok(())
     }
 
     fn sides(&self) -> &Sides {
-        self.sides.as_ref().expect("there but for a moment")
+        self.sides.as_ref().expect("the ports are there except while they are replaced")
     }
 
-    /// What the vehicle told of itself last.
+    /// The last status of the vehicle.
     pub(super) fn told(&self) -> Status {
         self.beat.map(|(_, status, _)| status).unwrap_or_default()
     }
 
-    /// Waits until a count of the status has risen; whether it has, and by how much.
+    /// Waits until a count of the status has risen; returns whether it has, and by how much.
     pub(super) fn wait_for_count(
         &mut self,
         before: u64,
@@ -418,8 +419,8 @@ impl Stand {
     }
 }
 
-/// Whether both name the same attempt at the same batch. Of which run it says it is, and what lies in the padding, are
-/// checks of their own.
+/// Whether both name the same attempt at the same batch. The run that they name, and the padding, have checks of their
+/// own.
 fn names_same(a: Attempt, b: Attempt) -> bool {
     (a.batch, a.attempt) == (b.batch, b.attempt)
 }

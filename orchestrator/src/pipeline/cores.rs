@@ -1,4 +1,4 @@
-//! One pipeline, one core, or a core for each of its ring: which ones are free.
+//! A pipeline has one core, or one for each process of its ring; this file finds cores that are free.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
@@ -16,9 +16,9 @@ pub(crate) struct Placement {
 }
 
 impl Placement {
-    /// For a pipeline that waits as it was told to, or else as suits the machine.
+    /// For a pipeline that waits as `wanted`, or else as suits the machine.
     pub(crate) fn new(wanted: Option<Wait>, fleet: usize, realtime: bool) -> Self {
-        // Cores are asked for only where they may be used: in between, others would find them taken.
+        // Cores are claimed only if they may be used: until they are released, others would find them taken.
         let may_spin = wanted.map_or_else(
             || Wait::choose(allowed_cores().len(), fleet, realtime) == Wait::Spin,
             |wait| wait == Wait::Spin,
@@ -33,7 +33,7 @@ impl Placement {
             cores.iter_mut().for_each(CoreClaim::keep_others_off);
         } else {
             cores.clear();
-            // By the clock nobody has to be quick behind somebody else: whichever core is free will do.
+            // By the clock, no process has to follow another one quickly: any free core will do.
             if wait != Wait::Spin && !realtime {
                 cores.extend(CoreClaim::unshared().or_else(CoreClaim::shared));
             }
@@ -41,7 +41,7 @@ impl Placement {
         Self { wait, cores }
     }
 
-    /// The core of the ring's process with this place in it, if it has one.
+    /// The core of the process at this place in the ring, if it has one.
     pub(crate) fn core_of(&self, place: usize) -> Option<usize> {
         let claim = self.cores.get(place).or_else(|| self.cores.first());
         claim.map(|claim| claim.core)
@@ -53,17 +53,17 @@ impl Placement {
     }
 }
 
-/// A core on which a ring, or a process of it, runs. Others see that for as long as this lives.
+/// A claim on a core for a ring or one of its processes. Other pipelines see it for as long as this exists.
 #[derive(Debug)]
 pub(crate) struct CoreClaim {
     /// Number of the core.
     pub(crate) core: usize,
-    /// Names in the abstract namespace: free again when their owner dies, and no file to leave behind.
+    /// Names in the abstract namespace: they are free again when their owner dies, and leave no file behind.
     claims: Vec<UnixDatagram>,
 }
 
 impl CoreClaim {
-    /// Claims a core that no other pipeline of this machine has.
+    /// Claims a core that no other pipeline on this machine has claimed.
     pub(crate) fn unshared() -> Option<Self> {
         allowed_cores().into_iter().find_map(|core| {
             let claim = bind("core", core)?;
@@ -71,7 +71,7 @@ impl CoreClaim {
         })
     }
 
-    /// A core that somebody has claimed already, and who hands it on.
+    /// A core that another pipeline has claimed, but yields.
     pub(crate) fn shared() -> Option<Self> {
         let cores: Vec<usize> =
             allowed_cores().into_iter().filter(|core| bind("spin", *core).is_some()).collect();
@@ -79,7 +79,7 @@ impl CoreClaim {
         Some(Self { core, claims: Vec::new() })
     }
 
-    /// Nobody is to share this core: its process never hands it on.
+    /// Keeps other pipelines off this core: its process spins, and never yields it.
     fn keep_others_off(&mut self) {
         self.claims.extend(bind("spin", self.core));
     }
@@ -90,7 +90,7 @@ fn bind(what: &str, core: usize) -> Option<UnixDatagram> {
     UnixDatagram::bind_addr(&name).ok()
 }
 
-/// The cores that this process may use; the last ones first, because the first one often serves the interrupts.
+/// The cores that this process may use, the last ones first, because the first core often serves the interrupts.
 fn allowed_cores() -> Vec<usize> {
     let Ok(allowed) = sched_getaffinity(None) else { return Vec::new() };
     (0..CpuSet::MAX_CPU).rev().filter(|core| allowed.is_set(*core)).collect()

@@ -1,15 +1,12 @@
-//! The loop that joins everything: hears the processes, sequences the drives, restarts what died.
+//! The loop that joins everything: it listens to the processes, sequences the drives, and restarts what died.
 //!
 //! [`Pipeline::run_to_end`] is the main loop.
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use config::launch::{Launch, Role};
-use config::{RunConfig, SweepPlan};
+use config::launch::Role;
 use ipc_types::{
     Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal,
     Safety, Status, WakeRole, WirePose, has,
@@ -18,77 +15,40 @@ use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;
 use runtime::observer::CORE_FILE;
 use runtime::run::RunNames;
-use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Wait, Waiting};
+use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
+use signal_hook::consts::SIGINT;
 
-use crate::commands::housekeeping::RunState;
 use crate::pipeline::cores::Placement;
-use crate::pipeline::member::{Member, Refused, State};
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::member::{Member, RefusedSamples, State};
 use crate::pipeline::observers::ObserverCare;
+use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::pipeline::process::clean_up_behind;
 use crate::pipeline::progress::Progress;
 use crate::pipeline::recovery::{RandomKills, Recoveries};
-use crate::pipeline::restart::{Budget, Decision};
+use crate::pipeline::restart::Decision;
 use crate::pipeline::sequencer::Sequencer;
-use crate::runs::result::RunFacts;
+use crate::runs::state::RunState;
 use crate::words::Failure;
 
-/// A batch without a tick for so long has lost a message; progress is told with each sign of life.
+/// A batch without a tick for this long has lost a message; each sign of life reports progress.
 const STALLED_AFTER_NS: u64 = 500_000_000;
-/// Stalls of one batch in a row before it is given up: what repairs a lost message has then not helped, and
-/// will not.
+/// And one without a tick for this long has lost one even on a machine where the processes wait for a processor most
+/// of the time.
+const STALLED_AT_LAST_NS: u64 = 10_000_000_000;
+/// How many stalls in a row of one batch end the run: driving it again repairs a lost message, but by then it has not
+/// helped, and will not.
 const STALLS_IN_A_ROW: u32 = 100;
-/// A process that was asked to stop gets this long.
+/// How long a process may take to stop.
 const STOPS_WITHIN: Duration = Duration::from_secs(5);
 /// Longest sleep of the orchestrator: deaths and messages wake it, deadlines do not.
 const NAP_NS: i64 = 20_000_000;
-/// Between two looks at what a vehicle in real time warns of.
+/// Time between two looks for warnings of a vehicle in real time.
 const WARN_EVERY_NS: u64 = 1_000_000_000;
-/// Between two looks at the children while messages flow.
+/// Time between two checks for dead children while messages flow.
 const REAP_EVERY_NS: u64 = 1_000_000;
-
-/// What a pipeline is made of.
-pub(crate) struct Plan {
-    pub(crate) config: RunConfig,
-    pub(crate) launch: Launch,
-    /// What is driven instead of a training.
-    pub(crate) sweep: Option<SweepPlan>,
-    pub(crate) folder: PathBuf,
-    pub(crate) budget: Budget,
-    /// Faults on purpose: the script with its seed.
-    pub(crate) chaos: Option<(String, u64)>,
-    pub(crate) quiet: bool,
-    /// How the ring waits, if somebody has said.
-    pub(crate) wait: Option<Wait>,
-    /// Priority of first-in-first-out scheduling of the ring, if it was asked for.
-    pub(crate) fifo: Option<u8>,
-    pub(crate) interrupted: Interrupts,
-}
-
-/// Signals that ask for the end.
-#[derive(Debug, Clone)]
-pub(crate) struct Interrupts(Arc<AtomicUsize>);
-
-impl Interrupts {
-    /// Catches them from now on.
-    pub(crate) fn new() -> Result<Self, Failure> {
-        use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-        let last = Arc::new(AtomicUsize::new(0));
-        for signal in [SIGINT, SIGTERM, SIGHUP] {
-            signal_hook::flag::register_usize(signal, last.clone(), signal as usize)?;
-        }
-        Ok(Self(last))
-    }
-
-    /// The one that came last, if any did.
-    pub(crate) fn signal(&self) -> Option<i32> {
-        match self.0.load(Ordering::Relaxed) {
-            0 => None,
-            signal => Some(signal as i32),
-        }
-    }
-}
 
 /// A running pipeline.
 pub(crate) struct Pipeline<'a> {
@@ -106,17 +66,19 @@ pub(crate) struct Pipeline<'a> {
     sequencer: Sequencer,
     progress: &'a mut Progress,
     interrupted: Interrupts,
-    /// The vehicle must pace by the clock. Then nothing is driven again: who was restarted joins.
+    /// The vehicle must pace by the clock. Then nothing is driven again: a restarted process joins the drive.
     realtime: bool,
     /// The vehicle does pace by the clock.
     by_clock: bool,
-    /// State of the gate of each slot, as it was told last.
+    /// State of the gate of each slot, as reported last.
     gates: Vec<u32>,
-    /// Somebody of the ring died, or a message was lost: the batch under way will not end.
+    /// A process of the ring died, or a message was lost: the batch under way will not end.
     batch_is_broken: bool,
-    /// The latest batch and tick that anybody reported, and when anybody's last changed.
+    /// The latest batch and tick that any process reported; `seen_ns` is when that of any process last changed.
     seen: (u64, u64),
     seen_ns: u64,
+    /// What the processes had waited for a processor by then.
+    seen_waited_ns: u64,
     /// Attempts at the batch under way that stalled.
     stalls_in_a_row: u32,
     random_kills: RandomKills,
@@ -125,7 +87,7 @@ pub(crate) struct Pipeline<'a> {
     state_file: StateFile,
     /// The trainer has written its outcome.
     is_over: bool,
-    /// When the batch under way was issued; time and ticks of all batches before.
+    /// When the batch under way was issued; then the time and ticks of all earlier batches.
     issued_ns: u64,
     driving_ns: u64,
     driving_ticks: u64,
@@ -143,13 +105,13 @@ impl<'a> Pipeline<'a> {
         progress: &'a mut Progress,
     ) -> Result<Self, Failure> {
         let config = &plan.config;
-        let max_len = config.fleet().max(config.run.alphas.len());
+        let max_len = config.fleet().max(config.learners());
         let realtime = plan.sweep.as_ref().is_some_and(|sweep| sweep.realtime);
         let placement = Placement::new(plan.wait, config.fleet(), realtime || config.run.realtime);
         let bus = Bus::create(names, max_len)?.waiting(placement.wait);
         let cores: Vec<String> = placement.cores().map(|core| core.to_string()).collect();
         if !cores.is_empty() {
-            // Observers leave them alone.
+            // Observers do not touch them.
             let _ = fs::write(names.root.join(CORE_FILE), cores.join(" "));
         }
         tracing::info!(waiting = placement.wait.name(), ?cores, "placed");
@@ -161,8 +123,8 @@ impl<'a> Pipeline<'a> {
                 RandomKills::new(script.random_per_s, *seed)
             }
         };
-        // Each drive of a list goes by a number of its own.
-        let learners = if plan.sweep.is_some() { u32::MAX } else { config.run.alphas.len() as u32 };
+        // Each drive of a list has a learner's number of its own.
+        let learners = if plan.sweep.is_some() { u32::MAX } else { config.learners() as u32 };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
         let mut sequencer = Sequencer::new(names.run, start, config.fleet(), learners);
@@ -201,6 +163,7 @@ impl<'a> Pipeline<'a> {
             batch_is_broken: false,
             seen: (0, 0),
             seen_ns: 0,
+            seen_waited_ns: 0,
             stalls_in_a_row: 0,
             random_kills,
             recoveries: Recoveries::default(),
@@ -218,13 +181,13 @@ impl<'a> Pipeline<'a> {
     }
 
     /// The main loop: from the first start to the trainer's outcome, or to the reason why there is none.
-    pub(crate) fn run_to_end(&mut self) -> Result<RunFacts, Failure> {
+    pub(crate) fn run_to_end(&mut self) -> Result<PipelineFacts, Failure> {
         let result = self.loop_until_over();
         self.stop_all();
         result?;
-        Ok(RunFacts {
+        Ok(PipelineFacts {
             counts: self.sequencer.counts(),
-            recovery: self.recoveries.to_json(chaos::fired(&self.attachment.names.root)),
+            recovery: self.recoveries.sum_up(chaos::fired(&self.attachment.names.root)),
             processes: self.members.iter().map(Member::facts).collect(),
             wall_s: (now_ns() - self.started_ns) as f64 / 1e9,
             tick_ns: self.driving_ns as f64 / self.driving_ticks.max(1) as f64,
@@ -237,6 +200,9 @@ impl<'a> Pipeline<'a> {
         loop {
             if let Some(signal) = self.interrupted.signal() {
                 return Err(Failure::Interrupted(signal));
+            }
+            if self.state_file.is_stop_requested(now_ns()) {
+                return Err(Failure::Interrupted(SIGINT));
             }
             let mut heard = self.hear_status()?;
             self.look_after_members()?;
@@ -256,9 +222,9 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// Signs of life: who is ready, and who still is.
+    /// Takes signs of life: which processes are ready, and still alive.
     fn hear_status(&mut self) -> Result<bool, Failure> {
-        let mut heard = false;
+        let (mut heard, mut ticked) = (false, false);
         while let Some(message) = self.status.receive()? {
             heard = true;
             let Some(status) = message.items().first().copied() else { continue };
@@ -271,15 +237,16 @@ impl<'a> Pipeline<'a> {
                 continue;
             };
             let Status { dropped, rejected, late, .. } = status;
-            member.refused = Refused { dropped, rejected, late };
-            // Each against itself: they stand at different ticks, even when all stand still.
+            member.refused = RefusedSamples { dropped, rejected, late };
+            // Each process is compared with itself: they are at different ticks even when all have stopped.
             if (status.batch, status.tick) != member.seen {
                 member.seen = (status.batch, status.tick);
                 self.seen = self.seen.max(member.seen);
                 self.seen_ns = now_ns();
+                ticked = true;
             }
             if self.realtime && member.is_ready() {
-                // There are no batches whose end could show that all is well.
+                // There are no ends of batches that would show that all is well.
                 member.policy.works();
             }
             if member.beat(now_ns()) {
@@ -294,16 +261,19 @@ impl<'a> Pipeline<'a> {
                         self.by_clock = true;
                     } else if self.realtime {
                         let why = "--realtime: the vehicle waits for commands instead of pacing by the clock \
-                                   (its Status lacks REAL_TIME); leave the option out, or see ipc_types/CONTRACT.md";
+                                   (its Status lacks REAL_TIME); omit the option, or see ipc_types/CONTRACT.md";
                         return Err(Failure::User(why.to_owned()));
                     }
                 }
             }
         }
+        if ticked {
+            self.seen_waited_ns = self.waited_ns();
+        }
         Ok(heard)
     }
 
-    /// What the trainer wants, and where it stands.
+    /// Takes the trainer's proposals and its progress.
     fn hear_trainer(&mut self) -> Result<bool, Failure> {
         if let Some(progress) = self.learner_progress.receive_newest()? {
             let flags = progress.header().flags;
@@ -326,7 +296,7 @@ impl<'a> Pipeline<'a> {
         Ok(heard)
     }
 
-    /// Reports of batches that have ended.
+    /// Takes the reports of batches that have ended.
     fn hear_controller(&mut self) -> Result<bool, Failure> {
         let mut heard = false;
         while let Some(message) = self.reports.receive()? {
@@ -346,7 +316,7 @@ impl<'a> Pipeline<'a> {
         Ok(heard)
     }
 
-    /// Tells the user where a gate has stopped its vehicle, or lets it drive again.
+    /// Tells the user when a gate has stopped its vehicle, or lets it drive again.
     fn hear_gate(&mut self) -> Result<bool, Failure> {
         let mut heard = false;
         while let Some(message) = self.safety.receive()? {
@@ -366,7 +336,7 @@ impl<'a> Pipeline<'a> {
                     }
                     Safety::STOPPED => {
                         self.progress.notice(&format!("vehicle {slot} stands"));
-                        // In a training nobody rearms: the drive is made again from the start.
+                        // In a training there is nobody to rearm the vehicle: the drive is made again from the start.
                         self.batch_is_broken |=
                             self.by_clock && !self.realtime && self.sequencer.is_driving();
                     }
@@ -387,7 +357,7 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// Issues the next batch, or the broken one again, once everybody is ready.
+    /// Issues the next batch, or reissues the broken one, once all processes are ready.
     fn drive(&mut self) -> Result<(), Failure> {
         if !self.members.iter().all(Member::is_ready) {
             return Ok(());
@@ -412,9 +382,9 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// A batch without a tick for so long has lost a message: it is driven again.
+    /// Drives a batch again if it has stalled: without a tick for so long, it has lost a message.
     ///
-    /// A vehicle that may take its time to come to the start is waited for until its first tick.
+    /// A vehicle that may take its time to come to the start has no such deadline for its first tick.
     fn look_after_batch(&mut self) -> Result<(), Failure> {
         let now = now_ns();
         self.state_file.write(now, &self.members, &self.sequencer, self.seen);
@@ -436,6 +406,14 @@ impl<'a> Pipeline<'a> {
         {
             return Ok(());
         }
+        // A loaded machine is slow, not broken: the time that the ring waited for a processor does not count.
+        let waited_ns = self.waited_ns();
+        let excused_ns = waited_ns.saturating_sub(self.seen_waited_ns);
+        let silent_ns = now.saturating_sub(self.seen_ns);
+        if silent_ns.saturating_sub(excused_ns) < STALLED_AFTER_NS && silent_ns < STALLED_AT_LAST_NS
+        {
+            return Ok(());
+        }
         self.stalls_in_a_row += 1;
         if self.stalls_in_a_row > STALLS_IN_A_ROW {
             let (batch, tick) = (self.sequencer.batch(), self.seen.1);
@@ -452,7 +430,12 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// Passes on what the vehicle warns of: in real time it may wait for something that only the user can bring.
+    /// Time that all processes have waited for a processor.
+    fn waited_ns(&self) -> u64 {
+        self.members.iter().map(Member::waited_ns).sum()
+    }
+
+    /// Passes on the vehicle's warnings: in real time it may be waiting for something that only the user can provide.
     fn tell_warnings(&mut self) {
         for member in self.members.iter_mut().filter(|it| it.entry.role == Role::Vehicle) {
             for warning in member.new_warnings() {
@@ -461,7 +444,7 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// Starts who is due, in order; replaces who died or froze.
+    /// Starts the processes that are due, in order; replaces those that died or froze.
     fn look_after_members(&mut self) -> Result<(), Failure> {
         let now = now_ns();
         if now - self.reaped_ns < REAP_EVERY_NS {
@@ -484,7 +467,7 @@ impl<'a> Pipeline<'a> {
                 self.replace(index, &why)?;
             }
         }
-        // One at a time: a starter's half-made files must be nobody else's.
+        // One at a time, so that half-made files can only belong to the process that is starting.
         let Some(member) = self.members.iter_mut().find(|member| !member.is_ready()) else {
             return Ok(());
         };
@@ -496,7 +479,7 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// A process died, froze or did not become ready: removes what it left, and decides what comes next.
+    /// A process died, froze or did not become ready: removes what it left, and decides what to do next.
     fn replace(&mut self, index: usize, why: &str) -> Result<(), Failure> {
         let member = &mut self.members[index];
         if let Some(process) = member.state.process() {
@@ -518,7 +501,7 @@ impl<'a> Pipeline<'a> {
         };
         self.progress.notice(&format!("{} (pid {pid}) {why}; it is restarted", member.name));
         member.state = State::Down { due_ns: now_ns() + wait.as_nanos() as u64 };
-        // The clean-up took a while, in which nobody was heard: no reason to take others for frozen.
+        // The clean-up took a while, during which no messages were read: do not take other processes for frozen.
         self.hear_status()?;
         Ok(())
     }
@@ -544,7 +527,7 @@ impl<'a> Pipeline<'a> {
         self.reaped_ns = 0;
     }
 
-    /// Stops everybody, the last started first.
+    /// Stops all processes, the last started first.
     fn stop_all(&mut self) {
         for member in self.members.iter_mut().rev() {
             if let Some(process) = member.state.process()
@@ -557,10 +540,10 @@ impl<'a> Pipeline<'a> {
     }
 }
 
-/// What is wrong with a vehicle, from the bits of [`Safety::reasons`].
+/// Describes what is wrong with a vehicle, from the bits of [`Safety::reasons`].
 pub(crate) fn describe_reasons(reasons: u32) -> String {
     let words = [
-        (Safety::COMMAND_STALE, "no answer of the controller"),
+        (Safety::COMMAND_STALE, "no answer from the controller"),
         (Safety::COMMAND_INVALID, "the controller's answer is not finite"),
         (Safety::ODOMETRY_STALE, "no odometry"),
         (Safety::ODOMETRY_INVALID, "the odometry is not finite"),
@@ -577,11 +560,14 @@ struct StateFile {
     path: PathBuf,
     state: RunState,
     written_ns: u64,
+    looked_ns: u64,
 }
 
 impl StateFile {
-    /// Between two writes.
+    /// Time between two writes.
     const EVERY_NS: u64 = 200_000_000;
+    /// Time between two looks for a request to stop.
+    const LOOK_EVERY_NS: u64 = 50_000_000;
 
     fn new(names: &RunNames, plan: &Plan) -> Self {
         let state = RunState {
@@ -589,12 +575,13 @@ impl StateFile {
             pid: std::process::id(),
             maneuver: plan.config.maneuver.clone(),
             folder: plan.folder.clone(),
+            resumable: plan.sweep.is_none(),
             batch: 0,
             attempt: 0,
             tick: 0,
             processes: Vec::new(),
         };
-        Self { path: names.root.join(RunState::FILE), state, written_ns: 0 }
+        Self { path: names.root.join(RunState::FILE), state, written_ns: 0, looked_ns: 0 }
     }
 
     fn write(&mut self, now_ns: u64, members: &[Member], sequencer: &Sequencer, seen: (u64, u64)) {
@@ -606,12 +593,21 @@ impl StateFile {
         (state.batch, state.attempt) = (sequencer.batch(), sequencer.attempt());
         state.tick = if seen.0 == state.batch { seen.1 } else { 0 };
         state.processes = members.iter().map(Member::state).collect();
-        // Only for people to look at: a failure is no reason to stop a training.
+        // Only people read it: a failure to write it is no reason to stop a training.
         let _ = state.write(&self.path);
+    }
+
+    /// Whether `pathtune stop` has asked for it, by a file beside this one.
+    fn is_stop_requested(&mut self, now_ns: u64) -> bool {
+        if now_ns - self.looked_ns < Self::LOOK_EVERY_NS {
+            return false;
+        }
+        self.looked_ns = now_ns;
+        self.path.with_file_name(RunState::STOP_FILE).exists()
     }
 }
 
-/// The orchestrator's own log, beside those of its processes.
+/// The orchestrator's own log, in the same folder as those of its processes.
 pub(crate) fn log_of_orchestrator(folder: &Path) -> PathBuf {
     folder.join("logs").join("orchestrator.log")
 }

@@ -1,61 +1,63 @@
-//! One process of the pipeline over its starts and deaths: state, signs of life, what is wrong with it.
+//! One process of the pipeline across its starts and deaths: its state, its signs of life, and what is wrong with it.
 
 use std::collections::HashSet;
 use std::path::PathBuf;
 
 use config::launch::{ProcessEntry, Role};
 use ipc_types::Status;
+use outcome::ProcessFacts;
 use runtime::Attachment;
 use runtime::clock::now_ns;
 
-use serde::{Deserialize, Serialize};
-
-use crate::commands::housekeeping::ProcessState;
 use crate::pipeline::cores::Placement;
-use crate::pipeline::main_loop::Plan;
-use crate::pipeline::process::{Process, describe, last_lines};
+use crate::pipeline::plan::Plan;
+use crate::pipeline::process::{Process, Program, describe, last_lines};
 use crate::pipeline::restart::{Budget, RestartPolicy};
-use crate::runs::result::ProcessFacts;
+use crate::pipeline::vitals::Vitals;
+use crate::runs::state::ProcessState;
 use crate::words::Failure;
 
-/// A process must be ready this soon after its start: it opens a dozen files.
+/// A process must be ready this soon after its start, the time left out in which it waited for a processor: it opens a
+/// dozen files.
 const READY_WITHIN_NS: u64 = 5_000_000_000;
-/// A ready process that shows no sign of life for this long is taken for frozen: five beats.
+/// A ready process that gives no sign of life for this long, which is five beats, is taken for frozen; see [`Vitals`].
 const BEATS_WITHIN_NS: u64 = 500_000_000;
-/// Exit code of a process that ends for a mistake of the user's.
+/// Exit code of a process that ends because of a user's mistake.
 const USERS_MISTAKE: i32 = 64;
 
 /// A process of the pipeline, alive or not.
 pub(crate) struct Member {
     pub(crate) entry: ProcessEntry,
+    program: Program,
     pub(crate) name: &'static str,
     pub(crate) log: PathBuf,
     pub(crate) state: State,
     pub(crate) policy: RestartPolicy,
     pub(crate) incarnation: u64,
     pub(crate) pid: u32,
-    /// Batch and tick that it reported last.
+    /// Whether it was found without a sign of life at the last look.
+    suspected: bool,
+    /// The batch and tick that it reported last.
     pub(crate) seen: (u64, u64),
-    /// What it has warned of, without the numbers in it.
+    /// What it has warned of, with the numbers removed.
     warned: HashSet<String>,
-    /// Samples that its incarnations before this one did not take, and those of this one.
-    refused_before: Refused,
-    pub(crate) refused: Refused,
+    /// Samples that its earlier incarnations refused; `refused` has those of this one.
+    refused_before: RefusedSamples,
+    pub(crate) refused: RefusedSamples,
 }
 
-/// Samples that a process did not take.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Refused {
+/// Samples that a process refused.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct RefusedSamples {
     /// They did not match run, batch, attempt and tick.
     pub(crate) dropped: u64,
     /// They were not finite or out of range.
     pub(crate) rejected: u64,
-    /// They came too late, in real time.
-    #[serde(default)]
+    /// They came too late (in real time).
     pub(crate) late: u64,
 }
 
-impl Refused {
+impl RefusedSamples {
     fn and(self, other: Self) -> Self {
         Self {
             dropped: self.dropped + other.dropped,
@@ -69,9 +71,9 @@ pub(crate) enum State {
     /// To be started at this time.
     Down { due_ns: u64 },
     /// Up, and not ready yet.
-    Starting { process: Process, since_ns: u64 },
+    Starting { process: Process, since_ns: u64, vitals: Vitals },
     /// All its ports exist.
-    Ready { process: Process, beat_ns: u64 },
+    Ready { process: Process, beat_ns: u64, vitals: Vitals },
 }
 
 impl State {
@@ -85,12 +87,14 @@ impl State {
 
 impl Member {
     pub(crate) fn new(entry: &ProcessEntry, plan: &Plan) -> Self {
-        let name = match entry.command {
-            Some(_) => entry.role.name(),
-            None => entry.own_service(),
+        let program = plan.services.program(entry);
+        let name = match program {
+            Program::Command(_) => entry.role.name(),
+            Program::Service(name) => name,
         };
         Self {
             entry: entry.clone(),
+            program,
             name,
             log: plan.folder.join("logs").join(format!("{name}.log")),
             state: State::Down { due_ns: 0 },
@@ -100,10 +104,11 @@ impl Member {
             }),
             incarnation: 0,
             pid: 0,
+            suspected: false,
             seen: (0, 0),
             warned: HashSet::new(),
-            refused_before: Refused::default(),
-            refused: Refused::default(),
+            refused_before: RefusedSamples::default(),
+            refused: RefusedSamples::default(),
         }
     }
 
@@ -121,8 +126,8 @@ impl Member {
         matches!(self.state, State::Ready { .. })
     }
 
-    /// Which process of the ring it is, counted along it. Only the ring has cores: the trainer works while the ring
-    /// rests, the recorder beside it.
+    /// Its place in the ring, if it belongs to it. Only the ring has cores: the trainer works while the ring
+    /// rests, and the recorder runs alongside it.
     fn place_in_ring(&self) -> Option<usize> {
         match self.entry.role {
             Role::Vehicle => Some(0),
@@ -139,7 +144,7 @@ impl Member {
     ) -> Result<(), Failure> {
         self.incarnation += 1;
         self.refused_before = self.all_refused();
-        self.refused = Refused::default();
+        self.refused = RefusedSamples::default();
         self.warned.clear();
         let place = self.place_in_ring();
         let attachment = Attachment {
@@ -148,24 +153,42 @@ impl Member {
             fifo: attachment.fifo.filter(|_| place.is_some()),
             ..attachment.clone()
         };
-        let process = Process::start(&self.entry, &attachment, &self.log).map_err(|error| {
+        let process = Process::start(&self.program, &attachment, &self.log).map_err(|error| {
             anyhow::Error::new(error).context(format!("failed to start the {}", self.name))
         })?;
         self.pid = process.id();
         tracing::info!(process = self.name, pid = self.pid, "started");
-        self.state = State::Starting { process, since_ns: now_ns() };
+        self.suspected = false;
+        let vitals = self.vitals().unwrap_or_default();
+        self.state = State::Starting { process, since_ns: now_ns(), vitals };
         Ok(())
     }
 
-    /// Notes a sign of life. Whether it was the first.
+    /// What the system counts of it; none once it is gone. Of a foreign program nobody knows which of its processes and
+    /// threads gives the signs of life.
+    fn vitals(&self) -> Option<Vitals> {
+        match self.program {
+            Program::Service(_) => Vitals::of_main_thread(self.pid),
+            Program::Command(_) => Vitals::of_tree(self.pid),
+        }
+    }
+
+    /// Time that it has been ready to run and waited for a processor, since it started.
+    pub(crate) fn waited_ns(&self) -> u64 {
+        self.vitals().unwrap_or_default().waited_ns
+    }
+
+    /// Notes a sign of life; returns whether it was the first.
     pub(crate) fn beat(&mut self, now_ns: u64) -> bool {
+        self.suspected = false;
+        let vitals = self.vitals().unwrap_or_default();
         match std::mem::replace(&mut self.state, State::Down { due_ns: now_ns }) {
             State::Starting { process, .. } => {
-                self.state = State::Ready { process, beat_ns: now_ns };
+                self.state = State::Ready { process, beat_ns: now_ns, vitals };
                 true
             }
             State::Ready { process, .. } => {
-                self.state = State::Ready { process, beat_ns: now_ns };
+                self.state = State::Ready { process, beat_ns: now_ns, vitals };
                 false
             }
             down @ State::Down { .. } => {
@@ -175,24 +198,33 @@ impl Member {
         }
     }
 
-    /// What is wrong with the process, if anything is.
+    /// What is wrong with the process, if anything.
     pub(crate) fn trouble(&mut self, now_ns: u64) -> Option<String> {
         if let Some(status) = self.state.process()?.try_wait() {
             return Some(describe(status));
         }
-        match &self.state {
-            State::Starting { since_ns, .. } if now_ns - since_ns > READY_WITHIN_NS => {
-                Some(format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000))
-            }
-            State::Ready { beat_ns, .. } if now_ns.saturating_sub(*beat_ns) > BEATS_WITHIN_NS => {
-                Some(format!("showed no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000))
-            }
-            _ => None,
+        let (since_ns, vitals, limit_ns) = match self.state {
+            State::Down { .. } => return None,
+            State::Starting { since_ns, vitals, .. } => (since_ns, vitals, READY_WITHIN_NS),
+            State::Ready { beat_ns, vitals, .. } => (beat_ns, vitals, BEATS_WITHIN_NS),
+        };
+        let elapsed_ns = now_ns.saturating_sub(since_ns);
+        let hangs = elapsed_ns > limit_ns
+            && self.vitals().is_none_or(|now| vitals.hangs(now, elapsed_ns, limit_ns));
+        // Only at the second look: this process may have been off the processor, too, and its mail unread.
+        if !std::mem::replace(&mut self.suspected, hangs) || !hangs {
+            return None;
         }
+        Some(match self.state {
+            State::Ready { .. } => {
+                format!("gave no sign of life for {} ms", BEATS_WITHIN_NS / 1_000_000)
+            }
+            _ => format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000),
+        })
     }
 
-    /// The user's mistake for which the process ended at its first start, in its own last words: another start would end
-    /// in the same.
+    /// The user's mistake because of which the process ended at its first start, in its own last words. Another start
+    /// would end the same way.
     pub(crate) fn mistake(&mut self) -> Option<Failure> {
         if self.incarnation > 1 || self.state.process()?.try_wait()?.code() != Some(USERS_MISTAKE) {
             return None;
@@ -202,10 +234,10 @@ impl Member {
         Some(Failure::User(format!("{}: {said}", self.name)))
     }
 
-    /// What this incarnation warns of in its log, each once, however the numbers in it change.
+    /// New warnings in the log of this incarnation, each reported once, even if the numbers in it change.
     pub(crate) fn new_warnings(&mut self) -> Vec<String> {
         let lines = last_lines(&self.log, 20);
-        // Behind the time, the level and who it comes from.
+        // After the time, the level and the source.
         let warnings = lines.iter().filter_map(|line| {
             let (_, rest) = line.split_once(" WARN ")?;
             Some(rest.split_once(": ").map_or(rest, |(_, text)| text).to_owned())
@@ -219,7 +251,7 @@ impl Member {
         let lines = last_lines(&self.log, 5);
         let said = if lines.is_empty() { "nothing".to_owned() } else { lines.join(" | ") };
         Failure::GaveUp(format!(
-            "gave up: the {} {why}, too often in too short a time; it said last: {said}; \
+            "gave up: the {} {why}, too often in too short a time; its last words: {said}; \
              look into {}",
             self.name,
             self.log.display(),
@@ -232,21 +264,23 @@ impl Member {
             State::Starting { .. } => "starting",
             State::Ready { .. } => "ready",
         };
-        let ProcessFacts { name, pid, restarts, refused } = self.facts();
-        ProcessState { name: name.to_owned(), pid, restarts, state: state.to_owned(), refused }
+        ProcessState { state: state.to_owned(), facts: self.facts() }
     }
 
-    /// Samples that no incarnation took, as far as they told.
-    fn all_refused(&self) -> Refused {
+    /// Samples that all incarnations refused, as far as they reported them.
+    fn all_refused(&self) -> RefusedSamples {
         self.refused_before.and(self.refused)
     }
 
     pub(crate) fn facts(&self) -> ProcessFacts {
+        let RefusedSamples { dropped, rejected, late } = self.all_refused();
         ProcessFacts {
-            refused: self.all_refused(),
-            name: self.name,
+            name: self.name.to_owned(),
             pid: self.pid,
             restarts: self.incarnation.saturating_sub(1) as u32,
+            dropped,
+            rejected,
+            late,
         }
     }
 }

@@ -3,11 +3,15 @@
 //! Read `main_loop` first. [`sequencer`] and [`restart`] decide, and are pure; [`process`] acts.
 
 pub(crate) mod cores;
+pub(crate) mod interrupts;
 pub(crate) mod main_loop;
 pub(crate) mod member;
 pub(crate) mod observers;
+pub(crate) mod plan;
 pub mod process;
 pub(crate) mod progress;
 pub(crate) mod recovery;
 pub mod restart;
 pub mod sequencer;
+pub(crate) mod services;
+pub(crate) mod vitals;

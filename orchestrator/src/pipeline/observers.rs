@@ -1,7 +1,8 @@
-//! Cleans up behind observers that died, while the pipeline drives on.
+//! Cleans up after observers that died, while the pipeline drives on.
 //!
-//! The helper that cleans may take a while, or hang on what a killed starter left. So it is waited for from the
-//! main loop, one look at a time, unlike the helper behind a member of the pipeline: then nothing drives anyway.
+//! The clean-up helper may take a while, or hang on what a process that was killed during its start has left. So the
+//! main loop does not block on it, but checks on it time after time. After the death of a member of the pipeline it may
+//! block, because then nothing drives anyway.
 
 use std::process::Child;
 
@@ -10,9 +11,9 @@ use runtime::{Attachment, cleanup};
 
 use crate::pipeline::process::spawn_cleaner;
 
-/// Between two looks for dead observers.
+/// Time between two looks for dead observers.
 const LOOK_EVERY_NS: u64 = 500_000_000;
-/// A helper that takes longer than this hangs.
+/// A helper that takes longer than this is hanging.
 const HELPER_NS: u64 = 3_000_000_000;
 
 /// Looks after the observers of a run.
@@ -31,7 +32,7 @@ struct Cleaning {
 }
 
 impl ObserverCare {
-    /// Takes one look: starts, ends or goes on waiting for a clean-up.
+    /// Takes one look: starts a clean-up, ends it, or goes on waiting for it.
     pub(crate) fn look(&mut self, attachment: &Attachment, now_ns: u64) {
         if let Some(cleaning) = self.cleaning.take() {
             self.cleaning = cleaning.go_on(attachment, now_ns);
@@ -43,12 +44,12 @@ impl ObserverCare {
         self.looked_ns = now_ns;
         let dead = dead_observers(&attachment.names);
         if !dead.is_empty() {
-            tracing::info!(?dead, "observers died; cleaning up behind them");
+            tracing::info!(?dead, "observers died; cleaning up after them");
             self.cleaning = Cleaning::start(attachment, now_ns, dead);
         }
     }
 
-    /// Ends a clean-up under way: somebody else is about to clean.
+    /// Ends a clean-up that is under way: another one is about to begin.
     pub(crate) fn stand_back(&mut self) {
         if let Some(mut cleaning) = self.cleaning.take() {
             cleaning.end_helper();
@@ -67,7 +68,7 @@ impl Cleaning {
         for pid in &dead {
             cleanup::remove_half_made(&attachment.names, *pid);
         }
-        // Who cannot be started now is tried again with the next look.
+        // A helper that cannot be started now is started with the next look.
         let helper = spawn_cleaner(attachment).ok()?;
         Some(Self { helper, since_ns: now_ns, dead })
     }
@@ -76,7 +77,7 @@ impl Cleaning {
         let names = &attachment.names;
         match self.helper.try_wait() {
             Ok(Some(status)) if status.success() => {
-                // Only now: until the node is cleaned, its own files tell whose places are free again.
+                // Only now: until the node is removed, its own files say whose places are free again.
                 for pid in self.dead {
                     cleanup::remove_leftovers(names, pid);
                     forget_observer(names, pid);

@@ -8,9 +8,17 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use config::launch::ProcessEntry;
 use runtime::{Attachment, cleanup};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process_group, pidfd_open};
+
+/// What a process of the pipeline runs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Program {
+    /// Our own service with this name.
+    Service(&'static str),
+    /// A command of the user's, split into words as a shell would.
+    Command(String),
+}
 
 /// A living process of the pipeline, in a process group of its own.
 #[derive(Debug)]
@@ -27,23 +35,23 @@ impl Process {
     ///
     /// # Errors
     /// If the program or the log file cannot be opened.
-    pub fn start(entry: &ProcessEntry, attachment: &Attachment, log: &Path) -> io::Result<Self> {
-        // The very binary that runs, also when the file was replaced since.
+    pub fn start(program: &Program, attachment: &Attachment, log: &Path) -> io::Result<Self> {
+        // The binary that is running now, even if its file has been replaced since.
         let mut command = Command::new("/proc/self/exe");
         command.arg0("pathtune");
-        match &entry.command {
-            None => {
-                command.args(["service", entry.own_service()]);
+        match program {
+            Program::Service(name) => {
+                command.args(["service", name]);
             }
-            Some(words) => {
-                // Ties itself to us and moves to the core, then becomes the user's program.
+            Program::Command(words) => {
+                // Ties itself to our life and moves to its core, then becomes the user's program.
                 command.args(["service", "exec", "--"]);
                 command.args(shell_words::split(words).map_err(io::Error::other)?);
             }
         }
         let output: File = OpenOptions::new().create(true).append(true).open(log)?;
+        attachment.give_to(&mut command);
         let child = command
-            .envs(attachment.to_env())
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(output.try_clone()?)
@@ -68,13 +76,13 @@ impl Process {
         let _ = kill_process_group(pid_of(&self.child), Signal::INT);
     }
 
-    /// Kills it with all its own children, and waits for its end.
+    /// Kills it and all its children, and waits for its end.
     pub fn kill(&mut self) -> Option<ExitStatus> {
         let _ = kill_process_group(pid_of(&self.child), Signal::KILL);
         self.child.wait().ok()
     }
 
-    /// Asks it to stop, waits for at most `patience`, and kills what is left of it. Whether it stopped by
+    /// Asks it to stop, waits for at most `patience`, and kills what is left of it. Returns whether it stopped by
     /// itself.
     pub fn stop(&mut self, patience: Duration) -> bool {
         self.interrupt();
@@ -105,7 +113,7 @@ fn pid_of(child: &Child) -> Pid {
     Pid::from_child(child)
 }
 
-/// Becomes a user's program: the second half of [`Process::start`] with a command.
+/// Becomes a user's program: the second half of [`Process::start`] with a command, and the service `exec`.
 ///
 /// # Errors
 /// Always, if it returns at all: the orchestrator is gone, or the program cannot be executed.
@@ -128,13 +136,13 @@ pub fn exec(words: &[String]) -> anyhow::Error {
 /// Removes what the dead process `pid` left on the bus.
 ///
 /// # Errors
-/// If the helper that cleans dead nodes fails time after time.
+/// If the helper that removes dead nodes fails time after time.
 pub fn clean_up_behind(attachment: &Attachment, pid: u32) -> anyhow::Result<()> {
     let names = &attachment.names;
     cleanup::remove_half_made(names, pid);
     let mut helpers = Vec::new();
-    // The helper may be killed like anybody else. Until one has succeeded, the dead node's own files must
-    // stay: they tell whose places on the topics are free again.
+    // The helper may be killed like any process. Until one has succeeded, the dead node's own files must
+    // stay: they say whose places on the topics are free again.
     while !clean_dead_nodes(attachment, &mut helpers) {
         if helpers.len() >= HELPERS {
             anyhow::bail!("the clean-up helper failed {HELPERS} times; start again with --resume");
@@ -149,15 +157,16 @@ pub fn clean_up_behind(attachment: &Attachment, pid: u32) -> anyhow::Result<()> 
     Ok(())
 }
 
-/// Helpers that may fail behind one death.
+/// How many helpers may fail after one death.
 const HELPERS: usize = 10;
 
-/// Starts the helper that cleans dead nodes off the bus.
+/// Starts the helper that removes dead nodes from the bus.
 pub(crate) fn spawn_cleaner(attachment: &Attachment) -> io::Result<Child> {
-    Command::new("/proc/self/exe")
+    let mut command = Command::new("/proc/self/exe");
+    attachment.give_to(&mut command);
+    command
         .arg0("pathtune")
         .args(["service", "cleaner"])
-        .envs(attachment.to_env())
         .process_group(0)
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -165,8 +174,8 @@ pub(crate) fn spawn_cleaner(attachment: &Attachment) -> io::Result<Child> {
         .spawn()
 }
 
-/// Runs the helper that cleans dead nodes off the bus; kills it if it hangs, as it may on half-made files.
-/// Whether it succeeded.
+/// Runs the helper that removes dead nodes from the bus; kills it if it hangs, as it may on half-made files.
+/// Returns whether it succeeded.
 fn clean_dead_nodes(attachment: &Attachment, helpers: &mut Vec<u32>) -> bool {
     let Ok(mut helper) = spawn_cleaner(attachment) else { return false };
     helpers.push(helper.id());
@@ -183,7 +192,7 @@ fn clean_dead_nodes(attachment: &Attachment, helpers: &mut Vec<u32>) -> bool {
     false
 }
 
-/// How a process died, for people.
+/// How a process died, in words.
 pub fn describe(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
         (Some(code), _) => format!("ended with exit code {code}"),
@@ -193,7 +202,7 @@ pub fn describe(status: ExitStatus) -> String {
     }
 }
 
-/// The last lines of a log, made fit for a terminal: a foreign program may have written anything.
+/// The last lines of a log, made safe for a terminal: a foreign program may have written anything.
 pub fn last_lines(log: &Path, count: usize) -> Vec<String> {
     let mut bytes = Vec::new();
     let read = File::open(log).and_then(|mut file| {
@@ -212,7 +221,7 @@ pub fn last_lines(log: &Path, count: usize) -> Vec<String> {
         .collect()
 }
 
-/// How much of a log's end is looked at.
+/// How many bytes at the end of a log are read.
 const LOG_END: u64 = 64 << 10;
-/// Characters of a log's line that are shown.
+/// How many characters of each line of a log are shown.
 const LINE_LENGTH: usize = 400;

@@ -1,7 +1,8 @@
 //! What a user sees while a training runs.
 //!
-//! A terminal that is held, or a pipe that nobody reads, may keep a writer for ever. So a thread of its own writes, and the
-//! loop that restarts the dead waits for nobody: what the thread cannot take is left out, and stands in the log.
+//! A suspended terminal, or a pipe that nobody reads, may block a writer for ever. So a separate thread writes, and the
+//! main loop, which must restart dead processes, never waits for it: what the thread cannot take is not shown, but it
+//! is in the log.
 
 use std::io::IsTerminal;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
@@ -11,33 +12,35 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ipc_types::{LearnerProgress, has};
 
-use crate::pipeline::sequencer::Counts;
+use crate::pipeline::sequencer::DriveCounts;
 use crate::words::terminal::tell;
 
-/// How often the terminal is drawn anew.
+/// How often the terminal is redrawn.
 const REDRAW: Duration = Duration::from_millis(100);
 /// How often a line is written where there is no terminal.
 const LINE: Duration = Duration::from_secs(2);
 
-/// Words that wait to be written; more are left out.
+/// How many messages may wait to be written; further ones are left out.
 const WAITING: usize = 256;
-/// How long the last ones are waited for at the end.
+/// How long to wait at the end for the last ones to be written.
 const PATIENCE: Duration = Duration::from_millis(500);
 
 /// What a user sees while a training runs.
 pub(crate) struct Progress {
-    /// To the thread that writes; none if nothing is to be seen.
+    /// Leads to the thread that writes; `None` if nothing is to be shown.
     words: Option<SyncSender<Words>>,
-    /// Ends when that thread does.
+    /// Disconnected when that thread ends.
     written: Receiver<()>,
     is_terminal: bool,
     started: Instant,
     shown: Instant,
     tick_s: f64,
+    /// Name of the objective.
+    objective: String,
 }
 
 impl Progress {
-    pub(crate) fn new(quiet: bool, tick_s: f64) -> Self {
+    pub(crate) fn new(quiet: bool, tick_s: f64, objective: &str) -> Self {
         let is_terminal = std::io::stderr().is_terminal();
         let (words, to_write) = sync_channel(WAITING);
         let (is_written, written) = channel();
@@ -49,7 +52,8 @@ impl Progress {
         }
         let now = Instant::now();
         let words = (!quiet).then_some(words);
-        Self { words, written, is_terminal, started: now, shown: now, tick_s }
+        let objective = objective.to_owned();
+        Self { words, written, is_terminal, started: now, shown: now, tick_s, objective }
     }
 
     fn put(&self, words: Words) {
@@ -65,7 +69,7 @@ impl Progress {
     }
 
     /// Shows where the training stands, not too often.
-    pub(crate) fn show(&mut self, flags: u32, learners: &[LearnerProgress], counts: Counts) {
+    pub(crate) fn show(&mut self, flags: u32, learners: &[LearnerProgress], counts: DriveCounts) {
         let every = if self.is_terminal { REDRAW } else { LINE };
         if self.words.is_none() || learners.is_empty() || self.shown.elapsed() < every {
             return;
@@ -83,29 +87,29 @@ impl Progress {
         self.put(Words::State { message, of: Some((done, all)) });
     }
 
-    fn message(&self, learners: &[LearnerProgress], counts: Counts) -> String {
+    fn message(&self, learners: &[LearnerProgress], counts: DriveCounts) -> String {
         let slowest = learners.iter().map(|learner| learner.episode).min().unwrap_or_default();
         let episodes = learners[0].episodes;
         let epsilon = learners.iter().map(|learner| learner.epsilon).fold(0.0, f64::max);
-        let best =
-            learners.iter().map(|learner| learner.best_distance).fold(f64::INFINITY, f64::min);
+        let best = learners.iter().map(|learner| learner.best_value).fold(f64::INFINITY, f64::min);
         let episode = (slowest + 1).min(episodes);
         format!(
-            "episode {episode}/{episodes}  epsilon {epsilon:.2}  best distance {best:.4}  {}",
+            "episode {episode}/{episodes}  epsilon {epsilon:.2}  best {} {best:.4}  {}",
+            self.objective,
             self.speed(counts),
         )
     }
 
-    fn speed(&self, counts: Counts) -> String {
+    fn speed(&self, counts: DriveCounts) -> String {
         let seconds = self.started.elapsed().as_secs_f64();
         format!(
             "{:.0} drives/s  {:.0} x real time",
-            (counts.driven + counts.beside) as f64 / seconds,
+            (counts.reported + counts.beside) as f64 / seconds,
             counts.ticks as f64 * self.tick_s / seconds,
         )
     }
 
-    /// Shows where a batch stands that lasts long.
+    /// Shows the progress of a batch that takes long.
     pub(crate) fn show_tick(&mut self, tick: u64, ticks: u64) {
         if self.words.is_none() || self.shown.elapsed() < LINE {
             return;
@@ -115,7 +119,7 @@ impl Progress {
         self.put(Words::State { message, of: None });
     }
 
-    /// Clears the bar, once everything is written that can be.
+    /// Clears the bar, once everything that can be written is written.
     pub(crate) fn finish(&mut self) {
         if self.words.take().is_some() {
             let _ = self.written.recv_timeout(PATIENCE);
@@ -127,11 +131,11 @@ impl Progress {
 enum Words {
     /// A line that stays.
     Notice(String),
-    /// Where the training stands: what is done, of how much.
+    /// Progress of the training: how much is done, and of how much.
     State { message: String, of: Option<(u64, u64)> },
 }
 
-/// Writes whatever comes: a bar on a terminal, lines elsewhere.
+/// Writes what it receives: a bar on a terminal, lines elsewhere.
 fn write(words: &Receiver<Words>, is_terminal: bool) {
     let target =
         if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };

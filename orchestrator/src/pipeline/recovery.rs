@@ -1,9 +1,9 @@
-//! Faults on purpose, and how long it takes until ticks flow again.
+//! Injected faults, and how long it takes until ticks flow again.
 
 use runtime::chaos::Spread;
-use serde_json::{Value, json};
+use serde::{Deserialize, Serialize};
 
-/// Kills at random: so many a second, exponentially spread.
+/// Random kills at a given mean rate, with exponentially distributed intervals.
 #[derive(Debug)]
 pub(crate) struct RandomKills {
     per_s: f64,
@@ -16,7 +16,7 @@ impl RandomKills {
         Self { per_s, spread: Spread::new(seed), due_ns: 0 }
     }
 
-    /// Which of `count` processes is to be killed now, if one is.
+    /// Which of `count` processes to kill now, if any.
     pub(crate) fn due(&mut self, now_ns: u64, count: usize) -> Option<usize> {
         if self.per_s <= 0.0 {
             return None;
@@ -29,55 +29,73 @@ impl RandomKills {
         due.then(|| (self.spread.uniform() * count as f64) as usize)
     }
 
-    /// When the next kill is due; never, if none are asked for.
+    /// When the next kill is due; `None` if no kills are asked for.
     pub(crate) fn next_ns(&self) -> Option<u64> {
         (self.per_s > 0.0).then_some(self.due_ns)
     }
 }
 
-/// Deaths and stalls of a run, and how long each kept the ticks from flowing.
+/// Deaths and stalls of a run, and how long each stopped the flow of ticks.
 #[derive(Debug, Default)]
 pub(crate) struct Recoveries {
     /// Faults that the orchestrator caused itself.
     pub(crate) killed_at_random: usize,
-    /// Batches that were driven again although nobody had died.
+    /// Batches that were driven again although no process had died.
     pub(crate) stalls: usize,
     since_ns: Option<u64>,
     times_ns: Vec<u64>,
 }
 
 impl Recoveries {
-    /// Something broke now, unless something was broken already.
+    /// Notes that something broke now, unless something was broken already.
     pub(crate) fn broken(&mut self, now_ns: u64) {
         self.since_ns.get_or_insert(now_ns);
     }
 
-    /// Ticks flow again.
+    /// Notes that ticks flow again.
     pub(crate) fn mended(&mut self, now_ns: u64) {
         if let Some(since_ns) = self.since_ns.take() {
             self.times_ns.push(now_ns - since_ns);
         }
     }
 
-    /// Numbers for `result.json`.
-    pub(crate) fn to_json(&self, scripted: usize) -> Value {
+    /// Their summary.
+    pub(crate) fn sum_up(&self, scripted: usize) -> Recovery {
         let mut times_ns = self.times_ns.clone();
         times_ns.sort_unstable();
         let at = |share: f64| {
             let index = ((times_ns.len() as f64 * share).ceil() as usize).clamp(1, times_ns.len());
             times_ns[index - 1] as f64 / 1e6
         };
-        let (p50, p99, max) = match times_ns.is_empty() {
-            true => (Value::Null, Value::Null, Value::Null),
-            false => (at(0.5).into(), at(0.99).into(), at(1.0).into()),
-        };
-        json!({
-            "injected": self.killed_at_random + scripted,
-            "stalls": self.stalls,
-            "recoveries": times_ns.len(),
-            "death_to_tick_ms": { "p50": p50, "p99": p99, "max": max },
-        })
+        let at = |share: f64| (!times_ns.is_empty()).then(|| at(share));
+        Recovery {
+            injected: self.killed_at_random + scripted,
+            stalls: self.stalls,
+            recoveries: times_ns.len(),
+            death_to_tick_ms: DeathToTick { p50: at(0.5), p99: at(0.99), max: at(1.0) },
+        }
     }
+}
+
+/// Faults and recoveries of a run: `run.recovery` of `result.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Recovery {
+    /// Faults that were caused on purpose.
+    pub(crate) injected: usize,
+    /// Batches that were driven again although no process had died.
+    pub(crate) stalls: usize,
+    /// How many times ticks began to flow again.
+    pub(crate) recoveries: usize,
+    /// Milliseconds from a death to the next tick.
+    pub(crate) death_to_tick_ms: DeathToTick,
+}
+
+/// Percentiles of a time; `None` if there was no recovery.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct DeathToTick {
+    pub(crate) p50: Option<f64>,
+    pub(crate) p99: Option<f64>,
+    pub(crate) max: Option<f64>,
 }
 
 #[cfg(test)]
@@ -99,9 +117,9 @@ mod tests {
         recoveries.broken(10_000_000);
         recoveries.broken(20_000_000);
         recoveries.mended(30_000_000);
-        let json = recoveries.to_json(1);
-        assert_eq!(json["recoveries"], 1);
-        assert_eq!(json["death_to_tick_ms"]["max"], 20.0);
-        assert_eq!(json["injected"], 1);
+        let recovery = recoveries.sum_up(1);
+        assert_eq!((recovery.injected, recovery.recoveries), (1, 1));
+        assert_eq!(recovery.death_to_tick_ms.max, Some(20.0));
+        assert_eq!(Recoveries::default().sum_up(0).death_to_tick_ms.p50, None);
     }
 }

@@ -1,13 +1,13 @@
 //! Whether and when a dead process is started again.
 //!
-//! Pure: time is an argument. The first death is answered at once; further ones wait longer and longer,
-//! until a finished batch shows that all is well again. Too many deaths in a short time end the run: a
-//! process that dies at every start will not be better tomorrow.
+//! Pure: time is an argument. After a first death the process is restarted at once; after further ones it waits longer
+//! each time, until a finished batch shows that all is well again. Too many deaths in a short time end the run: a
+//! process that dies at every start will not get better by waiting.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// How many deaths are borne in which time.
+/// How many deaths are tolerated in which time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Budget {
     /// Deaths that are answered with a restart.
@@ -17,7 +17,7 @@ pub struct Budget {
 }
 
 impl Default for Budget {
-    /// Five in ten seconds, as systemd has it.
+    /// Five in ten seconds, as in systemd.
     fn default() -> Self {
         Self { restarts: 5, within: Duration::from_secs(10) }
     }
@@ -57,7 +57,7 @@ impl RestartPolicy {
         self.deaths_ns.retain(|death_ns| *death_ns >= oldest_ns);
         self.deaths_ns.push_back(now_ns);
         self.in_a_row += 1;
-        // Deaths that come slowly, as by a deadline, are as bad if nothing works between them.
+        // Deaths that come slowly, for example after a deadline, are just as bad if nothing works in between.
         if self.deaths_ns.len().max(self.in_a_row as usize) > self.budget.restarts as usize {
             return Decision::GiveUp;
         }
@@ -68,7 +68,7 @@ impl RestartPolicy {
         Decision::Restart(wait.min(LONGEST_WAIT).mul_f64(1.0 + 0.5 * jitter))
     }
 
-    /// A batch has finished: the process works.
+    /// Notes that a batch has finished: the process works.
     pub fn works(&mut self) {
         self.in_a_row = 0;
     }

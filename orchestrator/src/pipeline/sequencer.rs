@@ -1,9 +1,9 @@
 //! Which drives are made when: batches, slots and attempts.
 //!
 //! Pure. The trainer proposes drives by (learner, step). A batch takes as many as the fleet holds; it ends
-//! with the controller's report, and an attempt that a crash ended is made again with the same seeds, so with
-//! the same result. What a learner was answered is kept until its next proposal, so that a trainer that
-//! missed it can be told again: each drive counts exactly once.
+//! with the controller's report, and an attempt that a crash ended is repeated with the same seeds, so with
+//! the same result. The answer to a learner is kept until its next proposal, so that it can be sent again to a trainer
+//! that missed it: each drive counts exactly once.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ use ipc_types::{
 pub struct Sequencer {
     start: WirePose,
     fleet: usize,
-    /// Drives of these learners are counted; others are made beside them.
+    /// Drives of the learners below this number are counted as theirs; those of others are extra.
     learners: u32,
     /// Bits that every request carries.
     flags: u32,
@@ -26,17 +26,17 @@ pub struct Sequencer {
     driving: Vec<DriveRequest>,
     /// The last outcome of each learner.
     outcomes: BTreeMap<u32, DriveOutcome>,
-    counts: Counts,
+    counts: DriveCounts,
 }
 
 /// What was driven.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct DriveCounts {
     /// Drives of learners, or of a list, that were reported.
-    pub driven: u64,
-    /// Drives beside a training: of finalists, and of the tuned gains for the figures.
+    pub reported: u64,
+    /// Drives in addition to those of a training: of finalists, and of the tuned set for the figures.
     pub beside: u64,
-    /// Drives that were asked for again behind a crash.
+    /// Drives that were requested again after a crash.
     pub reissued: u64,
     /// Ticks of all reported drives.
     pub ticks: u64,
@@ -45,7 +45,7 @@ pub struct Counts {
 }
 
 impl Sequencer {
-    /// A sequencer before the first batch, for a fleet of so many vehicles and so many learners.
+    /// A sequencer before the first batch, for `fleet` vehicles and `learners` learners.
     pub fn new(run: u64, start: WirePose, fleet: usize, learners: u32) -> Self {
         Self {
             start,
@@ -56,11 +56,11 @@ impl Sequencer {
             proposals: Vec::new(),
             driving: Vec::new(),
             outcomes: BTreeMap::new(),
-            counts: Counts::default(),
+            counts: DriveCounts::default(),
         }
     }
 
-    /// Lets every vehicle in lockstep wait for the recorder of the run.
+    /// Makes every vehicle in lockstep wait for the recorder of the run.
     pub fn log_all(&mut self) {
         self.flags |= DriveRequest::LOGGED;
     }
@@ -70,7 +70,7 @@ impl Sequencer {
         self.flags |= DriveRequest::REAL_TIME;
     }
 
-    /// Bounds the fleet by what the vehicle can drive at once.
+    /// Limits the fleet to what the vehicle can drive at once.
     pub fn limit_fleet(&mut self, capacity: usize) {
         self.fleet = self.fleet.min(capacity.max(1));
     }
@@ -86,7 +86,7 @@ impl Sequencer {
                 _ => self.proposals.push(*proposal),
             }
         }
-        // Who is behind goes first: a small fleet serves all learners alike.
+        // Learners that have made the fewest steps go first, so that a small fleet serves all of them alike.
         self.proposals.sort_by_key(|proposal| (proposal.step, proposal.learner));
         missed
     }
@@ -123,7 +123,7 @@ impl Sequencer {
         Some((self.header(), &self.driving))
     }
 
-    /// The batch under way once more, as a new attempt; none between batches.
+    /// The batch under way again, as a new attempt; `None` between batches.
     pub fn reissue(&mut self) -> Option<(BatchHeader, &[DriveRequest])> {
         if self.driving.is_empty() {
             return None;
@@ -133,7 +133,7 @@ impl Sequencer {
         Some((self.header(), &self.driving))
     }
 
-    /// Takes a report. Returns the outcomes of the batch if that is what it reports.
+    /// Takes a report. Returns the outcomes if it reports the batch under way.
     pub fn report(
         &mut self,
         header: BatchHeader,
@@ -157,7 +157,7 @@ impl Sequencer {
             .collect();
         for outcome in &outcomes {
             if outcome.report.learner < self.learners {
-                self.counts.driven += 1;
+                self.counts.reported += 1;
             } else {
                 self.counts.beside += 1;
             }
@@ -188,7 +188,7 @@ impl Sequencer {
     }
 
     /// What was driven.
-    pub fn counts(&self) -> Counts {
+    pub fn counts(&self) -> DriveCounts {
         self.counts
     }
 
@@ -249,7 +249,7 @@ mod tests {
         assert_eq!(sequencer.report(second, &reports).unwrap()[0].attempt, second.attempt);
         assert!(sequencer.report(second, &reports).is_none());
         let counts = sequencer.counts();
-        assert_eq!((counts.driven, counts.reissued, counts.dropped), (1, 1, 3));
+        assert_eq!((counts.reported, counts.reissued, counts.dropped), (1, 1, 3));
         assert!(sequencer.reissue().is_none());
     }
 
@@ -259,11 +259,11 @@ mod tests {
         sequencer.propose(&[proposal(0, 0)]);
         let (header, drives) = sequencer.next_batch().unwrap();
         let reports = reports(drives);
-        // Restarted meanwhile: asks for what is being driven.
+        // The trainer was restarted meanwhile, and asks for the drive that is under way.
         assert!(sequencer.propose(&[proposal(0, 0)]).is_empty());
         sequencer.report(header, &reports).unwrap();
         assert!(sequencer.next_batch().is_none());
-        // And again behind the report.
+        // And again after the report.
         assert_eq!(sequencer.propose(&[proposal(0, 0)]).len(), 1);
         assert!(sequencer.next_batch().is_none());
         assert!(sequencer.propose(&[proposal(0, 1)]).is_empty());
@@ -292,14 +292,14 @@ mod tests {
                 if let Some((mut header, drives)) = sequencer.next_batch() {
                     let reports = reports(drives);
                     if crash == Some(1) {
-                        // Somebody of the ring died: the old attempt's report comes late.
+                        // A process of the ring died: the report of the old attempt comes late.
                         let old = header;
                         header = sequencer.reissue().unwrap().0;
                         prop_assert!(sequencer.report(old, &reports).is_none());
                     }
                     let told = sequencer.report(header, &reports).unwrap();
                     if crash != Some(2) {
-                        // Else the trainer died before it was told.
+                        // Otherwise the trainer died before it received the outcomes.
                         outcomes.extend(told);
                     }
                 }
@@ -309,7 +309,7 @@ mod tests {
                     *step += 1;
                 }
             }
-            prop_assert_eq!(sequencer.counts().driven, 10 * learners as u64);
+            prop_assert_eq!(sequencer.counts().reported, 10 * learners as u64);
         }
     }
 }

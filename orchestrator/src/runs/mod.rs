@@ -1,9 +1,15 @@
-//! What a run needs around its pipeline: checks of the machine, a folder, a result, and a place where other terminals
-//! find it.
+//! What a run needs in addition to its pipeline: checks of the machine, a folder, a result, and a place where other
+//! terminals find it.
 
+pub(crate) mod files;
+pub(crate) mod folder;
 pub(crate) mod preflight;
 pub(crate) mod result;
+pub(crate) mod running;
 pub(crate) mod setup;
+pub(crate) mod state;
 pub(crate) mod vehicle_file;
 
-pub use setup::{Ended, name_files};
+pub use folder::resolved_config;
+pub use result::EndedRun;
+pub use state::{LivingRun, living_run};

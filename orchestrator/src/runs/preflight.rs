@@ -9,19 +9,14 @@ use config::launch::Launch;
 use runtime::waiting;
 use rustix::mm::munlockall;
 
+use crate::runs::files::open_lock;
 use crate::words::Failure;
 use crate::words::terminal::tell;
 
-/// Checks that the programs and services of a launch file exist.
+/// Checks that the programs of a launch file exist.
 pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {
     for entry in &launch.process {
-        let Some(command) = &entry.command else {
-            if entry.own_service() == "ros2-vehicle" && !cfg!(feature = "ros2") {
-                let why = "this build has no ros2-vehicle; build it with `cargo build --release --features ros2`";
-                return Err(Failure::User(why.to_owned()));
-            }
-            continue;
-        };
+        let Some(command) = &entry.command else { continue };
         let fail = |why: String| {
             Err(Failure::User(format!(
                 "the command of the {}: {command}: {why}",
@@ -34,24 +29,24 @@ pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {
         };
         let Some(program) = words.first() else { return fail("is empty".to_owned()) };
         if which::which(program).is_err() {
-            return fail(format!("{program} is not an executable file, and not in the PATH"));
+            return fail(format!("{program} is not an executable file, nor in the PATH"));
         }
     }
     Ok(())
 }
 
-/// Checks whether first-in-first-out scheduling and locked memory will be allowed, and says it if not: the drive is the
-/// same without, on a machine that has nothing else to do.
+/// Checks whether first-in-first-out scheduling and locked memory will be allowed, and prints a warning if not. On a
+/// machine that has nothing else to do, the drive is the same without them.
 pub(crate) fn ask_for_fifo(priority: u8, realtime: bool) -> Result<(), Failure> {
     if !realtime {
         let why = "--fifo is for driving by the clock: add --realtime";
         return Err(Failure::User(why.to_owned()));
     }
-    // Of a thread that is over at once: the orchestrator itself stays as it is.
+    // Tried in a thread that ends at once, so that the orchestrator itself does not change.
     let allowed = std::thread::spawn(move || waiting::use_fifo(priority)).join();
     if let Ok(Err(why)) = allowed {
         tell!(
-            "pathtune: --fifo {priority} is refused here ({why}), the drive goes on without; grant rtprio in \
+            "pathtune: --fifo {priority} is refused here ({why}), and the drive goes on without it; grant rtprio in \
              /etc/security/limits.conf, see pathtune doctor"
         );
     }
@@ -72,7 +67,8 @@ pub(crate) fn make_folder(folder: &Path) -> Result<PathBuf, Failure> {
             }
         }
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            fs::create_dir_all(folder).map_err(|error| fail(format!("cannot be made: {error}")))?;
+            fs::create_dir_all(folder)
+                .map_err(|error| fail(format!("cannot be created: {error}")))?;
         }
         Err(error) => return Err(fail(format!("cannot be used: {error}"))),
     }
@@ -87,9 +83,13 @@ pub(crate) fn make_folder(folder: &Path) -> Result<PathBuf, Failure> {
 pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
     let path = folder.join("lock");
     let fail = |why: String| Failure::User(format!("{}: {why}", folder.display()));
-    let file =
-        fs::File::create(&path).map_err(|error| fail(format!("cannot be written: {error}")))?;
-    // A killed predecessor's last child may hold the lock until it has become its program.
+    let file = open_lock(&path).map_err(|error| match error.raw_os_error() {
+        Some(code) if code == rustix::io::Errno::LOOP.raw_os_error() => {
+            fail(format!("{} is a link; remove it", path.display()))
+        }
+        _ => fail(format!("cannot be written: {error}")),
+    })?;
+    // The last child of a killed predecessor may hold the lock until it has executed its program.
     let until = Instant::now() + Duration::from_secs(1);
     loop {
         match file.try_lock() {
@@ -98,7 +98,7 @@ pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
                 std::thread::sleep(Duration::from_millis(5));
             }
             Err(fs::TryLockError::WouldBlock) => {
-                let why = "a living run trains in this folder; `pathtune status` tells which";
+                let why = "a living run trains in this folder; `pathtune status` lists it";
                 return Err(fail(why.to_owned()));
             }
             Err(fs::TryLockError::Error(error)) => {
@@ -108,15 +108,15 @@ pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
     }
 }
 
-/// Holds off whoever would go on with the training in a folder, without a trace; refused if a run lives there.
+/// Prevents others from resuming the training in a folder, without leaving a trace; refused if a living run uses it.
 pub(crate) fn look_into(folder: &Path) -> Result<Option<fs::File>, Failure> {
     let Ok(file) = fs::File::open(folder.join("lock")) else { return Ok(None) };
     let fail = |why: &str| Err(Failure::User(format!("{}: {why}", folder.display())));
     match file.try_lock_shared() {
         Ok(()) => Ok(Some(file)),
-        Err(fs::TryLockError::WouldBlock) => {
-            fail("a living run trains in this folder; wait for its end, or `pathtune stop` it")
-        }
+        Err(fs::TryLockError::WouldBlock) => fail(
+            "a living run trains in this folder; wait for its end, or stop it with `pathtune stop`",
+        ),
         Err(fs::TryLockError::Error(error)) => fail(&format!("cannot be locked: {error}")),
     }
 }
@@ -132,7 +132,7 @@ pub(crate) fn unmake_folder(folder: &Path) {
 
 /// Checks that `/dev/shm` has room for a run whose messages carry `max_len` elements.
 ///
-/// A full one is a bus error in the middle of a run, not an error that could be handled.
+/// If it fills up in the middle of a run, the result is a bus error, not an error that could be handled.
 pub(crate) fn check_shared_memory(max_len: usize) -> Result<(), Failure> {
     let needed = needed_bytes(max_len);
     let stat = rustix::fs::statvfs("/dev/shm")
@@ -144,13 +144,13 @@ pub(crate) fn check_shared_memory(max_len: usize) -> Result<(), Failure> {
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     Err(Failure::User(format!(
         "/dev/shm is too small: a run with {max_len} vehicles needs {} MiB, and {} MiB are free; \
-         make room there, enlarge it (mount -o remount,size=… /dev/shm), or take a smaller --fleet",
+         free some of it, enlarge it (mount -o remount,size=… /dev/shm), or take a smaller --fleet",
         mib(needed),
         mib(free),
     )))
 }
 
-/// Shared memory that a run may touch.
+/// Shared memory that a run may use.
 fn needed_bytes(max_len: usize) -> u64 {
     (4 << 20) + max_len as u64 * (64 << 10)
 }

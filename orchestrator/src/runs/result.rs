@@ -1,88 +1,108 @@
-//! `result.json`: what the trainer's role has found out, joined with what only the orchestrator knows.
+//! `result.json`: what the process in the trainer's role has found out, joined with what only the orchestrator knows.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::Context;
 use config::RunConfig;
-use serde_json::{Map, Value, json};
+use outcome::{Drives, Outcome, RESULT_FILE, Run, RunDrives, RunResult, read_decided, to_json};
 
-use crate::pipeline::member::Refused;
-use crate::pipeline::sequencer::Counts;
+use crate::pipeline::plan::{PipelineFacts, Plan};
+use crate::runs::running::RunFacts;
+use crate::words::terminal::{say, tell};
+use crate::words::{Failure, tables};
 
-/// What only the orchestrator knows of a run.
-pub(crate) struct RunFacts {
-    pub(crate) counts: Counts,
-    pub(crate) processes: Vec<ProcessFacts>,
-    /// Faults and recoveries.
-    pub(crate) recovery: Value,
-    pub(crate) wall_s: f64,
-    /// Mean time of a tick, from the request of a batch to its report.
-    pub(crate) tick_ns: f64,
-    /// How the processes waited for each other.
-    pub(crate) waiting: &'static str,
+/// A run that has ended.
+#[derive(Debug)]
+pub struct EndedRun {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// Standard output is reserved for its JSON.
+    pub json: bool,
 }
 
-/// One process.
-pub(crate) struct ProcessFacts {
-    pub(crate) name: &'static str,
-    pub(crate) pid: u32,
-    pub(crate) restarts: u32,
-    pub(crate) refused: Refused,
-}
-
-/// Joins the outcome with what only the orchestrator knows, and writes `result.json`. `kind` is the command
-/// that made the run.
-pub(crate) fn write_result(
-    folder: &Path,
-    kind: &str,
-    config: &RunConfig,
-    facts: &RunFacts,
-) -> Result<Value> {
-    let outcome_path = folder.join("outcome.json");
-    let text =
-        fs::read(&outcome_path).with_context(|| format!("failed to read {outcome_path:?}"))?;
-    let mut result: Map<String, Value> = serde_json::from_slice(&text)
-        .with_context(|| format!("failed to parse {outcome_path:?}"))?;
-    let counts = facts.counts;
-    // Only a learner can ask for a drive and be answered from memory.
-    let asked = result.remove("asked").unwrap_or(counts.driven.into());
-    let vehicle_s = counts.ticks as f64 * config.drive.tick_s;
-    let known = json!({
-        "schema": 1,
-        "kind": kind,
-        "maneuver": config.maneuver,
-        "seed": config.run.seed,
-        "drives": {
-            "asked": asked,
-            "driven": counts.driven,
-            "beside": counts.beside,
-            "reissued": counts.reissued,
-        },
-        "processes": facts.processes.iter().map(|process| json!({
-            "name": process.name,
-            "pid": process.pid,
-            "restarts": process.restarts,
-            "dropped": process.refused.dropped,
-            "rejected": process.refused.rejected,
-            "late": process.refused.late,
-        })).collect::<Vec<_>>(),
-        "recovery": facts.recovery,
-        "tick_ns": facts.tick_ns,
-        "waiting": facts.waiting,
-        "vehicle_s": vehicle_s,
-        "wall_s": facts.wall_s,
-        "real_time_factor": vehicle_s / facts.wall_s,
-    });
-    if let Value::Object(known) = known {
-        result.extend(known);
+/// Writes `result.json`, and prints it or its table.
+pub(crate) fn conclude(plan: &Plan, facts: &RunFacts, json: bool) -> Result<EndedRun, Failure> {
+    let result = write_result(&plan.folder, &plan.config, facts)?;
+    if json {
+        // Byte for byte the content of the file.
+        let bytes = to_json(&result);
+        say!("{}", String::from_utf8_lossy(&bytes).trim_end());
+    } else {
+        tables::print_result(&result, &plan.config)?;
     }
-    let result = Value::Object(result);
-    let path = folder.join("result.json");
-    let part = folder.join("result.json.part");
-    fs::write(&part, serde_json::to_vec_pretty(&result)?)
+    Ok(EndedRun { folder: plan.folder.clone(), json })
+}
+
+/// Joins the outcome with what only the orchestrator knows, and writes `result.json`, by rename, so that nobody reads
+/// half of it.
+fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) -> Result<RunResult, Failure> {
+    let decided = read_decided(folder).map_err(anyhow::Error::from)?;
+    let run = of_run(config, facts)?;
+    let result = RunResult {
+        drives: drives_of(&decided.outcome, config),
+        processes: run.processes.clone(),
+        real_time_factor: run.real_time_factor,
+        decided,
+        run,
+    };
+    let path = folder.join(RESULT_FILE);
+    let part = path.with_extension("json.part");
+    fs::write(&part, to_json(&result))
         .and_then(|()| fs::rename(&part, &path))
         .with_context(|| format!("failed to write {path:?}"))?;
-    let _ = fs::remove_file(outcome_path);
     Ok(result)
+}
+
+/// The drives that a run comes to, whichever process had to make them again.
+fn drives_of(outcome: &Outcome, config: &RunConfig) -> Drives {
+    let all = |count: u64| Drives { asked: count, driven: count };
+    match outcome {
+        Outcome::Train(it) if config.run.memo => Drives { asked: it.asked, driven: it.distinct },
+        Outcome::Train(it) => all(it.asked),
+        Outcome::Validate(it) => all(it.rows.len() as u64 * (1 + it.repeats)),
+        Outcome::Grid(it) => all((it.size + it.sets.len()) as u64),
+        Outcome::Drive(_) => all(1),
+    }
+}
+
+fn of_run(config: &RunConfig, facts: &RunFacts) -> Result<Run, Failure> {
+    let RunFacts { started_at, ended_at, pipeline } = facts;
+    let PipelineFacts { counts, processes, recovery, wall_s, tick_ns, waiting } = pipeline;
+    let vehicle_s = counts.ticks as f64 * config.drive.tick_s;
+    let time = |at: &jiff::Timestamp| at.strftime("%Y-%m-%dT%H:%M:%S.%3fZ").to_string();
+    Ok(Run {
+        pathtune: env!("CARGO_PKG_VERSION").to_owned(),
+        command: std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect(),
+        started_at: time(started_at),
+        ended_at: time(ended_at),
+        wall_s: *wall_s,
+        vehicle_s,
+        real_time_factor: vehicle_s / wall_s,
+        drives: RunDrives {
+            reported: counts.reported,
+            beside: counts.beside,
+            reissued: counts.reissued,
+        },
+        processes: processes.clone(),
+        recovery: serde_json::to_value(recovery).context("the recoveries")?,
+        tick_ns: *tick_ns,
+        waiting: (*waiting).to_owned(),
+    })
+}
+
+/// Names the files of an ended run that people will want to open.
+pub(crate) fn name_files(ended: &EndedRun, report: Result<PathBuf, String>) -> Result<(), Failure> {
+    let here = std::env::current_dir().unwrap_or_default();
+    let near = |path: &Path| path.strip_prefix(&here).unwrap_or(path).display().to_string();
+    match (report, ended.json) {
+        // The result is valid even if its pictures cannot be drawn.
+        (Err(why), _) => tell!("pathtune: no report: {why}"),
+        (Ok(_), true) => {}
+        (Ok(report), false) => {
+            say!("{}", near(&ended.folder.join(RESULT_FILE)));
+            say!("{}", near(&report));
+        }
+    }
+    Ok(())
 }

@@ -5,25 +5,30 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use config::launch::{Launch, Role};
-use config::{Layers, RunConfig, SweepPlan};
+use config::{Layers, RunConfig, SweepPlan, read_small};
 use runtime::Wait;
 use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
 
 use crate::cli::{SetupArgs, WaitArg};
-use crate::pipeline::main_loop::{Interrupts, Plan};
+use crate::pipeline::interrupts::Interrupts;
+use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
-use crate::runs::preflight;
-use crate::words::Failure;
-use crate::words::terminal::{say, tell};
+use crate::pipeline::services::Services;
+use crate::runs::{folder, preflight};
+use crate::words::{Failure, known};
 
-/// The layers that every command shares: manoeuvre or own path, vehicle, file, single keys.
-pub(crate) fn layers(maneuver: Option<&str>, args: &SetupArgs) -> Result<Layers, Failure> {
+/// The layers that every command shares: manoeuvre or own path, file, vehicle, law, objective, single keys.
+pub(crate) fn layers(
+    maneuver: Option<&str>,
+    args: &SetupArgs,
+    tuner: Option<&str>,
+) -> Result<Layers, Failure> {
     let mut layers = match (maneuver, &args.path) {
         (Some(maneuver), _) => Layers::maneuver(maneuver)?,
         (None, Some(_)) => Layers::own_path(),
         (None, None) => match &args.config {
-            // A resolved configuration says whose it is.
+            // A resolved configuration names its own manoeuvre.
             Some(file) => Layers::of_document(&read(file, "--config")?)?,
             None => {
                 let why = "name a manoeuvre, or a path with --path FILE";
@@ -31,13 +36,20 @@ pub(crate) fn layers(maneuver: Option<&str>, args: &SetupArgs) -> Result<Layers,
             }
         },
     };
+    // Before the user's file and single keys, which may set what belongs to them, such as a grid or settings.
+    let chosen = Chosen { law: args.law.as_deref(), objective: args.objective.as_deref(), tuner };
+    chosen.choose(&mut layers)?;
     if let Some(file) = &args.config {
-        layers.add_document(&file.display().to_string(), &read(file, "--config")?)?;
+        let (origin, text) = (file.display().to_string(), read(file, "--config")?);
+        folder::refuse_earlier(&origin, &text)?;
+        layers.add_document(&origin, &text)?;
+        // An option counts more than a file that names another one.
+        chosen.choose(&mut layers)?;
     }
     if let Some(vehicle) = &args.vehicle {
         layers.set_vehicle("--vehicle", vehicle)?;
     }
-    // What a path's length makes of the other keys can still be set by hand.
+    // Keys that are derived from the path's length can still be overridden by hand.
     let (before, after): (Vec<_>, Vec<_>) =
         args.set.iter().partition(|assignment| assignment.starts_with("reference."));
     for assignment in before {
@@ -52,11 +64,69 @@ pub(crate) fn layers(maneuver: Option<&str>, args: &SetupArgs) -> Result<Layers,
     Ok(layers)
 }
 
-/// The processes of a pipeline; `service` fills the trainer's role where nothing else was named for it.
-pub(crate) fn launch(args: &SetupArgs, service: Option<&str>) -> Result<Launch, Failure> {
+/// The parts that options of the command line name.
+struct Chosen<'a> {
+    law: Option<&'a str>,
+    objective: Option<&'a str>,
+    tuner: Option<&'a str>,
+}
+
+impl Chosen<'_> {
+    /// Takes the parts that are not there already: those that are may have been changed since.
+    fn choose(&self, layers: &mut Layers) -> Result<(), Failure> {
+        let is_there =
+            |layers: &Layers, key: &str, name: &str| layers.text(key).as_deref() == Some(name);
+        if let Some(law) = self.law.filter(|law| !is_there(layers, "law_preset", law)) {
+            check_preset("--law", "laws", law, Path::new(law).is_file())?;
+            layers.set_law("--law", law)?;
+        }
+        if let Some(objective) = self.objective.filter(|it| !is_there(layers, "objective.name", it))
+        {
+            check_preset("--objective", "objectives", objective, false)?;
+            layers.set_objective("--objective", objective)?;
+        }
+        if let Some(tuner) = self.tuner.filter(|tuner| !is_there(layers, "learning.tuner", tuner)) {
+            check_preset("--tuner", "tuners", tuner, false)?;
+            layers.set_tuner("--tuner", tuner)?;
+        }
+        Ok(())
+    }
+}
+
+/// Checks that a folder of presets contains one of this name, or that the name is that of a file.
+pub(crate) fn check_preset(
+    option: &str,
+    folder: &str,
+    name: &str,
+    is_file: bool,
+) -> Result<(), Failure> {
+    let mut names = config::names_in(folder);
+    if is_file || names.any(|known| known == name) {
+        return Ok(());
+    }
+    let hint = known(name, config::names_in(folder));
+    let what = match folder {
+        "laws" => "neither a law nor a file",
+        "tuners" => "no tuner",
+        _ => "no objective",
+    };
+    Err(Failure::User(format!("{option} {name}: {what}; {hint}")))
+}
+
+/// The processes of a pipeline; `trainer` fills the trainer's role unless another program was named for it.
+pub(crate) fn launch(
+    args: &SetupArgs,
+    services: Services,
+    trainer: Option<&str>,
+) -> Result<Launch, Failure> {
     let mut launch = match &args.launch {
         None => Launch::train(),
-        Some(file) => Launch::parse(&file.display().to_string(), &read(file, "--launch")?)?,
+        Some(file) => {
+            let origin = file.display().to_string();
+            let launch = Launch::parse(&origin, &read(file, "--launch")?)?;
+            services.check(&origin, &launch)?;
+            launch
+        }
     };
     if args.record {
         launch.record(args.record_split);
@@ -64,59 +134,32 @@ pub(crate) fn launch(args: &SetupArgs, service: Option<&str>) -> Result<Launch, 
     for replacement in &args.replace {
         launch.replace(replacement)?;
     }
-    if let Some(service) = service {
-        launch.prefer_service(Role::Trainer, service);
+    if let Some(trainer) = trainer {
+        launch.prefer_service(Role::Trainer, trainer);
     }
     Ok(launch)
 }
 
-/// Where a run writes, and what it goes on with.
+/// Where a run writes, and whether it resumes an earlier one.
 pub(crate) enum Folder<'a> {
-    /// A new folder, named by the user or after the run and the time.
+    /// A new folder, named by the user, or else after the run and the time.
     New(&'a str),
     /// The folder of a training that was interrupted.
     Old(&'a Path),
 }
 
-/// A plan, with the lock on its folder: as long as that is held, nobody else writes there.
+/// A plan with the lock on its folder: while it is held, nobody else writes there.
 pub(crate) struct Ready {
     pub(crate) plan: Plan,
     _lock: fs::File,
 }
 
-/// A run that has come to its end.
-#[derive(Debug)]
-pub struct Ended {
-    /// Its folder.
-    pub folder: PathBuf,
-    /// Standard output belongs to its JSON.
-    pub json: bool,
-}
-
-/// Names the files of an ended run that people will want to open.
-///
-/// # Errors
-/// If standard output does not take it.
-pub fn name_files(ended: &Ended, report: Result<PathBuf, String>) -> Result<(), Failure> {
-    let here = std::env::current_dir().unwrap_or_default();
-    let near = |path: &Path| path.strip_prefix(&here).unwrap_or(path).display().to_string();
-    match (report, ended.json) {
-        // The result stands, whatever becomes of its pictures.
-        (Err(why), _) => tell!("pathtune: no report: {why}"),
-        (Ok(_), true) => {}
-        (Ok(report), false) => {
-            say!("{}", near(&ended.folder.join("result.json")));
-            say!("{}", near(&report));
-        }
-    }
-    Ok(())
-}
-
-/// Checks what a run needs of the machine, and makes its folder.
+/// Checks that the machine has what a run needs, and creates its folder.
 pub(crate) fn prepare(
     args: &SetupArgs,
     config: RunConfig,
     launch: Launch,
+    services: Services,
     sweep: Option<SweepPlan>,
     folder: Folder,
 ) -> Result<Ready, Failure> {
@@ -132,11 +175,11 @@ pub(crate) fn prepare(
     if let Some(priority) = args.fifo {
         preflight::ask_for_fifo(priority, config.run.realtime)?;
     }
-    // Until here a signal may simply end us; from here on it ends in order.
+    // Up to here a signal may simply end this process; from here on the run ends in order.
     let interrupted = Interrupts::new()?;
     preflight::check_commands(&launch)?;
     sweep_dead_runs();
-    preflight::check_shared_memory(config.fleet().max(config.run.alphas.len()))?;
+    preflight::check_shared_memory(config.fleet().max(config.learners()))?;
     let folder = match folder {
         Folder::Old(folder) => fs::canonicalize(folder)?,
         Folder::New(name) => preflight::make_folder(&match &args.out {
@@ -148,6 +191,7 @@ pub(crate) fn prepare(
     let plan = Plan {
         config,
         launch,
+        services,
         sweep,
         folder,
         budget: Budget { restarts: args.restart_budget, within: Duration::from_secs(10) },
@@ -161,8 +205,7 @@ pub(crate) fn prepare(
 }
 
 pub(crate) fn read(file: &Path, option: &str) -> Result<String, Failure> {
-    fs::read_to_string(file)
-        .map_err(|error| Failure::User(format!("{option} {}: {error}", file.display())))
+    read_small(file).map_err(|error| Failure::User(format!("{option} {}: {error}", file.display())))
 }
 
 fn folder_named_after(name: &str) -> PathBuf {

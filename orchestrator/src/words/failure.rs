@@ -5,11 +5,11 @@ use config::ConfigError;
 /// How a command ends when it does not succeed.
 #[derive(Debug)]
 pub enum Failure {
-    /// The user's mistake: one line that says what to do. Exit code 64.
+    /// A user's mistake: one line that says what to do. Exit code 64.
     User(String),
     /// The pipeline could not be kept alive. Exit code 70.
     GaveUp(String),
-    /// A signal asked for the end. Exit code 128 + its number.
+    /// A signal asked the run to stop. Exit code 128 + its number.
     Interrupted(i32),
     /// Anything else. Exit code 1.
     Other(anyhow::Error),
@@ -57,5 +57,15 @@ impl From<std::io::Error> for Failure {
 impl From<runtime::BusError> for Failure {
     fn from(error: runtime::BusError) -> Self {
         Failure::Other(error.into())
+    }
+}
+
+/// The advice for a user who wrote `word` instead of one of `names`: the nearest name, and all of them.
+pub(crate) fn known<'a>(word: &str, names: impl IntoIterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.into_iter().collect();
+    let all = names.join(", ");
+    match config::nearest(word, names) {
+        Some(near) => format!("did you mean {near}? There are {all}"),
+        None => format!("there are {all}"),
     }
 }

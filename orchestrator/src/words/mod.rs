@@ -5,4 +5,5 @@ pub(crate) mod tables;
 pub(crate) mod terminal;
 
 pub use failure::Failure;
+pub(crate) use failure::known;
 pub use terminal::{print_failure, print_line, print_usage_error};

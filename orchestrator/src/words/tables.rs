@@ -1,292 +1,466 @@
-//! The tables at the end of a training, a validation and a sweep of the grid.
+//! The tables at the end of a run.
+//!
+//! Two quantities must not be confused. The *cross-track error* is measured against the current reference,
+//! which moves on with time. *Off the path* is the distance of the pose from the nearest point of the path.
 
 use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, Table};
-use config::{Gains, RunConfig};
-use serde_json::Value;
+use config::{LawConfig, NamedParameters, RunConfig};
+use outcome::{
+    Comparison, GridResult, MainEffect, Measures, NoiseChoice, Outcome, RankedSet, Run, RunResult,
+    SetStanding, SingleDrive, TrainResult, ValidateResult, ValidatedRow, Verdict,
+};
 
+use crate::pipeline::recovery::Recovery;
 use crate::words::Failure;
 use crate::words::terminal::say;
 
-/// The table of a training, and what else is worth knowing of it.
-pub(crate) fn print_training(config: &RunConfig, result: &Value) -> Result<(), Failure> {
-    let size = result["grid"]["size"].as_u64().unwrap_or_default();
-    let mut table = table_of(&["", "Kv", "Kl", "Ks", "Ki", "distance", "rank", "mse m²", "rank"]);
-    let mut row = |name: &str, set: &Value, ranks: &Value| {
-        let rank = |key: &str| format!("{}/{size}", whole(&ranks[key]));
+/// Prints the tables of a run, and what else is worth knowing about it.
+pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
+    match &result.decided.outcome {
+        Outcome::Train(it) => print_training(it, result, config)?,
+        Outcome::Validate(it) => print_validation(it, config)?,
+        Outcome::Grid(it) => print_grid(it, config)?,
+        Outcome::Drive(it) => print_drive(it, config)?,
+    }
+    print_how_it_went(&result.run)?;
+    say!("digest {}", result.decided.outcome.digest());
+    Ok(())
+}
+
+fn print_training(it: &TrainResult, result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
+    let RunResult { drives, run, .. } = result;
+    let size = it.grid.map(|grid| grid.size);
+    let measures = MeasureColumns::new(config, size.is_some());
+    let mut table = table_of(&header("", &config.law, measures.header()));
+    let mut row = |name: &str, set: &NamedParameters, judged: &Measures, ranks: Ranks| {
         let mut cells = vec![name.to_owned()];
-        cells.extend(gains_of(&set["gains"]).to_array().map(trim));
-        cells.extend([digits(&set["distance"], 4), rank("rank_distance")]);
-        cells.extend([digits(&set["mse_m2"], 4), rank("rank_mse")]);
+        cells.extend(set_cells(&config.law, std::slice::from_ref(set)));
+        cells.extend(measures.cells(judged, ranks, size.unwrap_or_default()));
         table.add_row(cells);
     };
-    let tuner = match config.learning.tuner {
-        config::Tuner::EducatedQ => "tuned (educated Q)",
-        config::Tuner::Q => "tuned (Q)",
-    };
-    row(tuner, result, &result["grid"]);
-    row("plain Q beside it", &result["plain_q"], &result["plain_q"]);
-    if !result["paper"].is_null() {
-        row("the paper's set", &result["paper"], &result["paper"]);
+    let ranks = it.grid.map_or(Ranks::default(), |grid| Ranks {
+        value: Some(grid.rank_value),
+        distance: Some(grid.rank_distance),
+        mse: Some(grid.rank_mse),
+        path: Some(grid.rank_path),
+    });
+    row(&format!("tuned ({})", it.tuner), &it.gains, &it.measures, ranks);
+    if let Some(paper) = &it.paper {
+        row("the paper's set", &paper.gains, &paper.measures, Ranks::of(paper));
+    }
+    for (name, beside) in
+        [("plain Q beside it", &it.plain_q), ("random walk beside it", &it.random_walk)]
+    {
+        if let Some(beside) = beside {
+            row(name, &beside.set.gains, &beside.set.measures, Ranks::of(&beside.set));
+        }
     }
     say!("{table}");
 
-    let grid = &result["grid"];
-    say!(
-        "ranks among all {size} sets of the grid, noise-free; its best: distance {}, mse {} m²",
-        digits(&grid["best_distance"], 4),
-        digits(&grid["best_mse_m2"], 4),
-    );
-    let bounds = words(&result["on_bound"]);
-    if !bounds.is_empty() {
+    match &it.grid {
+        Some(grid) => {
+            let of_objective = objective_column(config).map_or(String::new(), |objective| {
+                format!("{objective} {}, ", digits(grid.best_value, 4))
+            });
+            say!(
+                "ranks among all {} sets of the grid, noise-free; its best: {of_objective}distance {}, mse {} m², {} m off \
+                 the path",
+                grid.size,
+                digits(grid.best_distance, 4),
+                digits(grid.best_mse_m2, 4),
+                digits(grid.best_path_mean_m, 4),
+            );
+        }
+        None => say!(
+            "not ranked: the grid of {} sets takes more ticks than ranking.max_ticks",
+            config.grid().len()
+        ),
+    }
+    if !it.on_bound.is_empty() {
+        let bounds = it.on_bound.join(", ");
         say!("on a bound of the grid: {bounds}; better gains may lie beyond it");
     }
-    print_choice_under_noise(config, result)?;
-    let drives = &result["drives"];
-    say!(
-        "{} drives asked for ({} by plain Q), {} driven, {} again behind a crash; the grid holds {size}",
-        drives["asked"],
-        result["plain_q"]["asked"],
-        drives["driven"],
-        drives["reissued"],
-    );
-    print_how_it_went(result)
-}
-
-/// How the gains were chosen under noise, and how sure that is.
-fn print_choice_under_noise(config: &RunConfig, result: &Value) -> Result<(), Failure> {
-    let noise = &result["noise"];
-    let Some(chosen) = noise["finalists"].get(0) else { return Ok(()) };
-    say!(
-        "under noise: mean distance {} [{}, {}] over {} drives, the best of {} sets driven again",
-        digits(&chosen["mean_distance"], 4),
-        digits(&chosen["low"], 4),
-        digits(&chosen["high"], 4),
-        noise["repeats"],
-        noise["finalists"].as_array().map_or(0, Vec::len),
-    );
-    if config.vehicle.gear_engaged {
-        say!("all of it, the noise-free figures too, with the drive gear engaged from the start");
+    if let Some(noise) = &it.noise {
+        let rank = it.grid.and_then(|grid| Some((grid.rank_mean?, grid.size)));
+        print_choice_under_noise(noise, rank, config)?;
     }
-    for (name, key) in
-        [("the learners' vote", "against_voted"), ("the paper's set", "against_paper")]
-    {
-        let against = &noise[key];
-        if against.is_null() || against["gains"] == chosen["gains"] {
-            continue;
-        }
-        let verdict = match against["verdict"].as_str() {
-            Some("better") => "better than",
-            Some("worse") => "worse than",
-            _ => "not to be told from",
-        };
-        say!(
-            "{verdict} {name}: paired difference {} [{}, {}] over the same {} drives",
-            digits(&against["difference"], 4),
-            digits(&against["low"], 4),
-            digits(&against["high"], 4),
-            noise["repeats"],
-        );
-    }
+    let beside = [("plain Q", &it.plain_q), ("the random walk", &it.random_walk)];
+    let beside: Vec<String> = beside
+        .iter()
+        .filter_map(|(name, beside)| Some(format!("{} by {name}", beside.as_ref()?.asked)))
+        .collect();
+    let beside = match beside.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", beside.join(", ")),
+    };
     say!(
-        "rank {}/{} by the mean distance over {} other noise seeds",
-        whole(&result["grid"]["rank_mean_distance"]),
-        whole(&result["grid"]["size"]),
-        noise["holdout"],
+        "{} drives asked for{beside}, {} driven, {} again after a crash; the grid holds {}",
+        drives.asked,
+        drives.driven,
+        run.drives.reissued,
+        config.grid().len(),
     );
     Ok(())
 }
 
-/// The table of a validation.
-pub(crate) fn print_validation(_: &RunConfig, result: &Value) -> Result<(), Failure> {
-    let rows = || result["rows"].as_array().into_iter().flatten();
-    let gains = |row: &Value| {
-        let sets = row["gains"].as_array().into_iter().flatten();
-        let sets: Vec<String> =
-            sets.map(|set| gains_of(set).to_array().map(trim).join(" ")).collect();
-        let mark = if row["chosen_by_paper"] == true { "* " } else { "" };
-        format!("{mark}{}", sets.join(" / "))
-    };
-    let mut table = table_of(&[
-        "noise-free",
-        "mse m²",
-        "paper",
-        "factor",
-        "along",
-        "cross",
-        "distance",
-        "max cross m",
-        "at limit",
-        "collisions",
-    ]);
-    for row in rows() {
-        let plain = &row["noise_free"];
-        let limited = 100.0 * plain["steering_limited"].as_f64().unwrap_or_default();
-        table.add_row([
-            gains(row),
-            digits(&plain["mse_m2"], 3),
-            digits(&plain["paper_mse_m2"], 3),
-            digits(&plain["factor"], 2),
-            digits(&plain["along_m2"], 3),
-            digits(&plain["cross_m2"], 3),
-            digits(&plain["distance"], 3),
-            digits(&plain["max_cross_track_m"], 2),
-            format!("{limited:.1} %"),
-            whole(&plain["collisions"]).to_string(),
-        ]);
-    }
-    say!("{table}");
-    let mut table =
-        table_of(&["with noise", "mean mse m²", "95 %", "worst", "paper", "factor", "collisions"]);
-    for row in rows() {
-        let noisy = &row["noisy"];
-        let interval =
-            format!("[{}, {}]", digits(&noisy["mse_m2_low"], 3), digits(&noisy["mse_m2_high"], 3));
-        table.add_row([
-            gains(row),
-            digits(&noisy["mse_m2_mean"], 3),
-            interval,
-            digits(&noisy["mse_m2_worst"], 3),
-            digits(&noisy["paper_mse_m2"], 3),
-            digits(&noisy["factor"], 2),
-            whole(&noisy["collisions"]).to_string(),
-        ]);
-    }
-    say!("\n{table}");
-    let collisions = |kind: &str| rows().any(|row| whole(&row[kind]["collisions"]) > 0);
-    if collisions("noise_free") || collisions("noisy") {
-        say!(
-            "a collision ends a drive; the ticks that it cuts off score the last error, so that mse and distance are \
-             those of no whole drive"
-        );
-    }
+/// Prints how the set was chosen under noise, and how certain that choice is. `rank` is its place, and among how many.
+fn print_choice_under_noise(
+    noise: &NoiseChoice,
+    rank: Option<(usize, usize)>,
+    config: &RunConfig,
+) -> Result<(), Failure> {
+    let Some(chosen) = noise.finalists.first() else { return Ok(()) };
+    let objective = &config.objective.name;
     say!(
-        "worst and mean of {} drives; the paper gives the worst of 10; *: its choice",
-        result["repeats"]
+        "under noise: mean {objective} {} [{}, {}] over {} drives, the best of {} sets driven again",
+        digits(chosen.mean_value, 4),
+        digits(chosen.low, 4),
+        digits(chosen.high, 4),
+        noise.repeats,
+        noise.finalists.len(),
     );
-    if let Some(factor) = result["rms_factor"].as_f64() {
-        say!("rms factor against the paper {factor:.3}");
+    if config.vehicle.gear_engaged {
+        say!("all drives, noise-free ones too, began with the drive gear engaged");
     }
-    for row in rows().filter(|row| row["switches"].get(0).is_some()) {
-        let switches: Vec<String> = row["switches"]
-            .as_array()
-            .into_iter()
-            .flatten()
-            .map(|it| format!("{} at tick {}", it["name"].as_str().unwrap_or_default(), it["tick"]))
-            .collect();
-        say!("gains of {} switched: {}", gains(row), switches.join(", "));
+    let against = |name: &str, it: &Comparison| -> Result<(), Failure> {
+        if it.gains == chosen.gains {
+            return Ok(());
+        }
+        let verdict = match it.verdict {
+            Verdict::Better => "better than",
+            Verdict::Worse => "worse than",
+            Verdict::Undecided => "not distinguishable from",
+        };
+        say!(
+            "{verdict} {name}: paired difference {} [{}, {}] over the same {} drives",
+            digits(it.difference, 4),
+            digits(it.low, 4),
+            digits(it.high, 4),
+            noise.repeats,
+        );
+        Ok(())
+    };
+    against("what single drives recommend", &noise.against_recommended)?;
+    if let Some(paper) = &noise.against_paper {
+        against("the paper's set", paper)?;
     }
-    print_how_it_went(result)
+    if let Some((rank, size)) = rank {
+        let seeds = noise.holdout;
+        say!("rank {rank} of {size} by the mean {objective} over {seeds} other noise seeds");
+    }
+    Ok(())
 }
 
-/// The tables of a sweep of the grid.
-pub(crate) fn print_grid(_: &RunConfig, result: &Value) -> Result<(), Failure> {
-    let size = whole(&result["size"]);
-    let header = ["Kv", "Kl", "Ks", "Ki", "distance", "rank", "mse m²", "rank", "on a bound"];
-    let cells = |set: &Value| {
-        let mut cells = gains_of(&set["gains"]).to_array().map(trim).to_vec();
-        cells.extend([digits(&set["distance"], 4), whole(&set["rank_distance"]).to_string()]);
-        cells.extend([digits(&set["mse_m2"], 4), whole(&set["rank_mse"]).to_string()]);
-        cells.push(words(&set["on_bound"]));
+fn print_validation(it: &ValidateResult, config: &RunConfig) -> Result<(), Failure> {
+    let has_paper = it.rows.iter().any(|row| row.noise_free.paper_mse_m2.is_some());
+    let beside_paper = if has_paper { &["paper", "factor"][..] } else { &[] };
+    let of_paper = |paper_mse_m2: Option<f64>, factor: Option<f64>| {
+        let cells = [or_dash(paper_mse_m2, 3), or_dash(factor, 2)];
+        cells.into_iter().take(beside_paper.len())
+    };
+    let name = |row: &ValidatedRow| if row.chosen_by_paper { "*" } else { "" }.to_owned();
+
+    let measures = MeasureColumns::new(config, false);
+    let last = ["along m²", "cross m²", "max cross-track error m", "at limit", "collisions"];
+    let columns = measures.header().chain(beside_paper.iter().copied()).chain(last);
+    let mut table = table_of(&header("noise-free", &config.law, columns));
+    for row in &it.rows {
+        let plain = &row.noise_free;
+        let mut cells = vec![name(row)];
+        cells.extend(set_cells(&config.law, &row.gains));
+        cells.extend(measures.cells(&plain.measures, Ranks::default(), 0));
+        cells.extend(of_paper(plain.paper_mse_m2, plain.factor));
+        cells.extend([
+            digits(plain.along_m2, 3),
+            digits(plain.cross_m2, 3),
+            digits(plain.max_cross_track_m, 2),
+            format!("{:.1} %", 100.0 * plain.steering_limited),
+            plain.collisions.to_string(),
+        ]);
+        table.add_row(cells);
+    }
+    say!("{table}");
+
+    let first = ["mean mse m²", "95 %", "worst"];
+    let last = ["off the path: mean m", "max m", "collisions"];
+    let columns = first.into_iter().chain(beside_paper.iter().copied()).chain(last);
+    let mut table = table_of(&header("with noise", &config.law, columns));
+    for row in &it.rows {
+        let noisy = &row.noisy;
+        let mut cells = vec![name(row)];
+        cells.extend(set_cells(&config.law, &row.gains));
+        cells.extend([
+            digits(noisy.mse_m2_mean, 3),
+            format!("[{}, {}]", digits(noisy.mse_m2_low, 3), digits(noisy.mse_m2_high, 3)),
+            digits(noisy.mse_m2_worst, 3),
+        ]);
+        cells.extend(of_paper(noisy.paper_mse_m2, noisy.factor));
+        cells.extend([
+            digits(noisy.path_mean_m, 3),
+            digits(noisy.path_max_m, 3),
+            noisy.collisions.to_string(),
+        ]);
+        table.add_row(cells);
+    }
+    say!("\n{table}");
+    if it.rows.iter().any(|row| row.noise_free.collisions + row.noisy.collisions > 0) {
+        say!(
+            "a collision ends a drive; each tick that it cuts off counts with the last error, so that mse and distance are \
+             not those of a whole drive"
+        );
+    }
+    let of_paper = if has_paper { "; the paper gives the worst of 10; *: its choice" } else { "" };
+    say!("worst and mean of {} drives{of_paper}", it.repeats);
+    if let Some(factor) = it.rms_factor {
+        say!("rms factor against the paper {factor:.3}");
+    }
+    for row in it.rows.iter().filter(|row| !row.switches.is_empty()) {
+        let switches: Vec<String> =
+            row.switches.iter().map(|it| format!("{} at tick {}", it.name, it.tick)).collect();
+        let sets: Vec<String> = row
+            .gains
+            .iter()
+            .map(|set| set.values().map(trim).collect::<Vec<_>>().join(" "))
+            .collect();
+        say!("gains of {} switched: {}", sets.join(" / "), switches.join(", "));
+    }
+    Ok(())
+}
+
+fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
+    let objective = objective_column(config);
+    let measures = MeasureColumns::new(config, true);
+    let cells = |name: &str, set: &RankedSet| {
+        let ranks = Ranks {
+            value: Some(set.rank_value),
+            distance: Some(set.rank_distance),
+            mse: Some(set.rank_mse),
+            path: Some(set.rank_path),
+        };
+        let mut cells = vec![name.to_owned()];
+        cells.extend(set_cells(&config.law, std::slice::from_ref(&set.gains)));
+        cells.extend(measures.cells(&set.measures, ranks, it.size));
+        cells.push(set.on_bound.join(", "));
         cells
     };
-    for (title, key) in [
-        ("best by distance", "best_by_distance"),
-        ("best by mse", "best_by_mse"),
-        ("asked for", "sets"),
-    ] {
-        let sets: Vec<&Value> = result[key].as_array().into_iter().flatten().collect();
-        if sets.is_empty() {
-            continue;
-        }
-        let mut table = table_of(&[&[title][..], &header[..]].concat());
-        for set in sets {
-            let name = match set["name"].as_str() {
-                Some("paper") => "the paper's",
-                name => name.unwrap_or_default(),
-            };
-            table.add_row([vec![name.to_owned()], cells(set)].concat());
+    let named = it.sets.iter().map(|named| match &*named.name {
+        "paper" => ("the paper's", &named.set),
+        name => (name, &named.set),
+    });
+    fn unnamed(sets: &[RankedSet]) -> Vec<(&str, &RankedSet)> {
+        sets.iter().map(|set| ("", set)).collect()
+    }
+    let by_objective = objective.map_or(String::new(), |name| format!("best by {name}"));
+    let tables = [
+        (&*by_objective, if objective.is_some() { unnamed(&it.best) } else { Vec::new() }),
+        ("best by distance", unnamed(&it.best_by_distance)),
+        ("best by mse", unnamed(&it.best_by_mse)),
+        ("nearest the path", unnamed(&it.best_by_path)),
+        ("asked for", named.collect()),
+    ];
+    for (title, sets) in tables.iter().filter(|(_, sets)| !sets.is_empty()) {
+        let columns = measures.header().chain(["on a bound"]);
+        let mut table = table_of(&header(title, &config.law, columns));
+        for (name, set) in sets {
+            table.add_row(cells(name, set));
         }
         say!("{table}\n");
     }
-    let mut table = table_of(&["sets of the grid within", "by distance", "by mse"]);
-    for flat in result["flatness"].as_array().into_iter().flatten() {
-        table.add_row([
-            format!("{:.0} % of the best", 100.0 * flat["within"].as_f64().unwrap_or_default()),
-            format!("{}/{size}", whole(&flat["sets_by_distance"])),
-            format!("{}/{size}", whole(&flat["sets_by_mse"])),
-        ]);
+
+    let by_objective = objective.map(|name| format!("by {name}"));
+    let mut columns = vec!["sets of the grid within"];
+    columns.extend(by_objective.as_deref());
+    columns.extend(["by distance", "by mse", "off the path"]);
+    let mut table = table_of(&columns);
+    for flat in &it.flatness {
+        let mut cells = vec![format!("{:.0} % of the best", 100.0 * flat.within)];
+        let counts = [flat.sets_by_distance, flat.sets_by_mse, flat.sets_by_path];
+        cells.extend(
+            objective
+                .map(|_| flat.sets_by_value)
+                .into_iter()
+                .chain(counts)
+                .map(|count| format!("{count} of {}", it.size)),
+        );
+        table.add_row(cells);
     }
     say!("{table}\n");
-    let mut table = table_of(&["variance explained by", "Kv", "Kl", "Ks", "Ki"]);
-    for (name, key) in [("distance", "share_distance"), ("mse", "share_mse")] {
-        let share = |gain: &str| {
-            let share = result["main_effects"][gain][key].as_f64().unwrap_or(f64::NAN);
-            format!("{:.1} %", 100.0 * share)
+
+    let mut table = table_of(&header("variance explained by", &config.law, []));
+    type Share = fn(&MainEffect) -> f64;
+    let of_value: Share = |it| it.share_value;
+    let of_objective = objective.map(|name| (name, of_value));
+    let shares: [(&str, Share); 3] = [
+        ("distance", |it| it.share_distance),
+        ("mse", |it| it.share_mse),
+        ("off the path, mean", |it| it.share_path),
+    ];
+    for (name, share) in of_objective.into_iter().chain(shares) {
+        let of_parameter = |key: &str| match it.main_effects.get(key) {
+            Some(effect) => format!("{:.1} %", 100.0 * share(effect)),
+            None => "–".to_owned(),
         };
-        table.add_row([vec![name.to_owned()], Gains::NAMES.map(share).to_vec()].concat());
+        let mut cells = vec![name.to_owned()];
+        cells.extend(config.law.keys().map(of_parameter));
+        table.add_row(cells);
     }
     say!("{table}");
-    print_how_it_went(result)
+    Ok(())
 }
 
-/// Crashes, speed and digest of a run.
-/// The table of a single drive.
-pub(crate) fn print_drive(config: &RunConfig, result: &Value) -> Result<(), Failure> {
-    let mut table =
-        table_of(&["", "Kv", "Kl", "Ks", "Ki", "mse m²", "along m²", "cross m²", "max cross m"]);
+fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
+    let measures = MeasureColumns::new(config, false);
+    let last = ["along m²", "cross m²", "max cross-track error m"];
+    let mut table = table_of(&header("", &config.law, measures.header().chain(last)));
     let due = config.maneuvers_due();
-    for (index, set) in result["gains"].as_array().into_iter().flatten().enumerate() {
-        let one_for_all = result["gains"].as_array().is_some_and(|sets| sets.len() == 1);
-        let mut cells = vec![if one_for_all { "all" } else { due[index] }.to_owned()];
-        cells.extend(gains_of(set).to_array().map(trim));
+    for (index, set) in it.gains.iter().enumerate() {
+        let name = match it.gains.len() {
+            1 => "all",
+            _ => due.get(index).copied().unwrap_or_default(),
+        };
+        let mut cells = vec![name.to_owned()];
+        cells.extend(set_cells(&config.law, std::slice::from_ref(set)));
         if index == 0 {
-            cells.extend(["mse_m2", "along_m2", "cross_m2"].map(|key| digits(&result[key], 4)));
-            cells.push(digits(&result["max_cross_track_m"], 2));
+            cells.extend(measures.cells(&it.measures, Ranks::default(), 0));
+            cells.extend([digits(it.along_m2, 4), digits(it.cross_m2, 4)]);
+            cells.push(digits(it.max_cross_track_m, 2));
         }
         table.add_row(cells);
     }
     say!("{table}");
-    let reason = match result["reason"].as_str() {
-        Some("goal") => "at the path's end",
-        Some("collision") => "in a collision",
+    let reason = match &*it.reason {
+        "goal" => "at the path's end",
+        "collision" => "in a collision",
         _ => "with its time",
     };
-    let poses = if result["true_poses"] == true { "true" } else { "measured" };
+    let poses = if it.true_poses { "true" } else { "measured" };
     say!(
-        "{} s driven; it ended {reason}; errors are those of the {poses} poses",
-        digits(&result["driven_s"], 1)
+        "{} s driven; it ended {reason}; all figures are of the {poses} poses",
+        digits(it.driven_s, 1)
     );
-    if result["joined"] == true {
-        say!("the controller was restarted on the way: errors are those since then");
+    if it.joined {
+        say!(
+            "the controller was restarted during the drive: the figures cover the time since then"
+        );
     }
-    print_how_it_went(result)
+    Ok(())
 }
 
-fn print_how_it_went(result: &Value) -> Result<(), Failure> {
-    let recovery = &result["recovery"];
-    if recovery["recoveries"].as_u64().unwrap_or_default() > 0 {
-        let time = &recovery["death_to_tick_ms"];
+/// Prints the crashes and the speed of a run.
+fn print_how_it_went(run: &Run) -> Result<(), Failure> {
+    let recovery: Recovery =
+        serde_json::from_value(run.recovery.clone()).map_err(anyhow::Error::from)?;
+    if recovery.recoveries > 0 {
+        let time_ms = recovery.death_to_tick_ms;
         say!(
             "{} faults injected, {} recoveries; from death to the next tick p50 {} ms, p99 {} ms, max {} ms",
-            recovery["injected"],
-            recovery["recoveries"],
-            digits(&time["p50"], 0),
-            digits(&time["p99"], 0),
-            digits(&time["max"], 0),
+            recovery.injected,
+            recovery.recoveries,
+            or_dash(time_ms.p50, 0),
+            or_dash(time_ms.p99, 0),
+            or_dash(time_ms.max, 0),
         );
     }
     say!(
         "{} s of driving in {} s: {} x real time",
-        digits(&result["vehicle_s"], 0),
-        digits(&result["wall_s"], 1),
-        digits(&result["real_time_factor"], 0),
+        digits(run.vehicle_s, 0),
+        digits(run.wall_s, 1),
+        digits(run.real_time_factor, 0),
     );
-    say!("digest {}", result["digest"].as_str().unwrap_or_default());
     Ok(())
 }
 
-/// A table without lines, its numbers to the right.
+/// Name of the objective, if its value is not that of another column.
+fn objective_column(config: &RunConfig) -> Option<&str> {
+    let objective = &config.objective;
+    let is_a_column = ["distance", "mse", "path", "path_max"].contains(&&*objective.name);
+    // With a cap, a drive that does not arrive has another value than its column shows.
+    (!is_a_column || objective.cap_wheelbases > 0.0).then_some(&objective.name)
+}
+
+/// Columns for the measures of a drive.
+#[derive(Clone, Copy)]
+struct MeasureColumns<'a> {
+    /// The objective's value comes first, under this name.
+    objective: Option<&'a str>,
+    /// Each is followed by its rank in the grid.
+    ranked: bool,
+    /// Whether drives are meant to arrive at the end of the path; those that end by time are not.
+    arrival: bool,
+}
+
+impl<'a> MeasureColumns<'a> {
+    fn new(config: &'a RunConfig, ranked: bool) -> Self {
+        let arrival = config.objective.cap_wheelbases > 0.0;
+        Self { objective: objective_column(config), ranked, arrival }
+    }
+
+    fn header(self) -> impl Iterator<Item = &'a str> {
+        let rank = self.ranked.then_some("rank");
+        let judged =
+            self.objective.into_iter().chain(["distance", "mse m²", "off the path: mean m"]);
+        let judged = judged.flat_map(move |name| std::iter::once(name).chain(rank));
+        judged.chain(["p95 m", "max m"]).chain(self.arrival.then_some("arrived"))
+    }
+
+    fn cells(self, it: &Measures, ranks: Ranks, size: usize) -> Vec<String> {
+        let rank =
+            |rank: Option<usize>| rank.map_or("–".to_owned(), |it| format!("{it} of {size}"));
+        let mut cells = Vec::new();
+        let mut judged = |value: f64, of: Option<usize>| {
+            cells.push(digits(value, 4));
+            cells.extend(self.ranked.then(|| rank(of)));
+        };
+        if self.objective.is_some() {
+            judged(it.value, ranks.value);
+        }
+        judged(it.distance, ranks.distance);
+        judged(it.mse_m2, ranks.mse);
+        judged(it.path_mean_m, ranks.path);
+        cells.extend([digits(it.path_p95_m, 3), digits(it.path_max_m, 3)]);
+        cells.extend(self.arrival.then(|| if it.arrived { "yes" } else { "no" }.to_owned()));
+        cells
+    }
+}
+
+/// Ranks of a set among all of the grid.
+#[derive(Debug, Clone, Copy, Default)]
+struct Ranks {
+    value: Option<usize>,
+    distance: Option<usize>,
+    mse: Option<usize>,
+    path: Option<usize>,
+}
+
+impl Ranks {
+    fn of(set: &SetStanding) -> Self {
+        Self {
+            value: set.rank_value,
+            distance: set.rank_distance,
+            mse: set.rank_mse,
+            path: set.rank_path,
+        }
+    }
+}
+
+/// A title, the symbol of each parameter, and further columns.
+fn header<'a>(
+    title: &'a str,
+    law: &'a LawConfig,
+    columns: impl IntoIterator<Item = &'a str>,
+) -> Vec<&'a str> {
+    std::iter::once(title).chain(law.symbols()).chain(columns).collect()
+}
+
+/// One cell for each parameter of a law, with its values in all the sets.
+pub(crate) fn set_cells(law: &LawConfig, sets: &[NamedParameters]) -> Vec<String> {
+    let value = |set: &NamedParameters, key: &str| set.get(key).map_or("–".to_owned(), trim);
+    let cell = |key: &str| sets.iter().map(|set| value(set, key)).collect::<Vec<_>>().join(" / ");
+    law.keys().map(cell).collect()
+}
+
+/// A table without lines, with numbers aligned to the right.
 pub(crate) fn table_of(header: &[&str]) -> Table {
     let mut table = Table::new();
     table.load_style(NOTHING).set_header(header);
@@ -296,27 +470,64 @@ pub(crate) fn table_of(header: &[&str]) -> Table {
     table
 }
 
-fn gains_of(value: &Value) -> Gains {
-    Gains::from_array(Gains::NAMES.map(|name| value[name].as_f64().unwrap_or(f64::NAN)))
+/// A number with `count` digits after the decimal point.
+pub(crate) fn digits(number: f64, count: usize) -> String {
+    format!("{number:.count$}")
 }
 
-/// A number with so many digits behind the point; a dash where there is none.
-pub(crate) fn digits(value: &Value, count: usize) -> String {
-    value.as_f64().map_or("–".to_owned(), |number| format!("{number:.count$}"))
+/// The same, or a dash if there is no number.
+fn or_dash(number: Option<f64>, count: usize) -> String {
+    number.map_or("–".to_owned(), |number| digits(number, count))
 }
 
-fn whole(value: &Value) -> u64 {
-    value.as_u64().unwrap_or_default()
-}
-
-fn words(value: &Value) -> String {
-    let words: Vec<&str> =
-        value.as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-    words.join(", ")
-}
-
-/// A gain with as many digits as it needs.
-pub(crate) fn trim(gain: f64) -> String {
-    let text = format!("{gain:.4}");
+/// A parameter with as many digits as it needs.
+pub(crate) fn trim(value: f64) -> String {
+    let text = format!("{value:.4}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_and_cells_match_with_and_without_objective_and_ranks() {
+        for objective in [None, Some("path")] {
+            for ranked in [false, true] {
+                let columns = MeasureColumns { objective, ranked, arrival: ranked };
+                let header: Vec<&str> = columns.header().collect();
+                let measures = Measures { value: 2.0, distance: 1.0, ..Measures::default() };
+                let ranks = Ranks { value: Some(7), distance: Some(3), ..Ranks::default() };
+                let cells = columns.cells(&measures, ranks, 750);
+                assert_eq!(header.len(), cells.len());
+                let at = |name: &str| header.iter().position(|it| *it == name).unwrap();
+                assert_eq!(cells[at("distance")], "1.0000");
+                assert_eq!(header.contains(&"path"), objective.is_some());
+                if ranked {
+                    assert_eq!(cells[at("distance") + 1], "3 of 750");
+                    assert_eq!(cells[at("mse m²") + 1], "–");
+                }
+                if objective.is_some() {
+                    assert_eq!(cells[at("path")], "2.0000");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn each_parameter_has_a_column_whatever_the_order_in_the_file() {
+        let law = config::paper_law();
+        let set = |values: [f64; 4]| {
+            let names = ["ki", "ks", "kl", "kv"].map(str::to_owned);
+            NamedParameters(names.into_iter().zip(values).collect())
+        };
+        let sets = [set([0.7, 21.0, 11.0, 3.0]), set([0.84, 1.0, 21.0, 3.4])];
+        assert_eq!(set_cells(&law, &sets[..1]), ["3", "11", "21", "0.7"]);
+        assert_eq!(set_cells(&law, &sets), ["3 / 3.4", "11 / 21", "21 / 1", "0.7 / 0.84"]);
+    }
+
+    #[test]
+    fn numbers_have_the_digits_they_need() {
+        assert_eq!([trim(3.0), trim(0.7), trim(1e-1), trim(1000.0)], ["3", "0.7", "0.1", "1000"]);
+    }
 }

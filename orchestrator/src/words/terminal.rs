@@ -1,4 +1,4 @@
-//! Words to the user, over streams that may be closed or full.
+//! Output for the user, over streams that may be closed or full.
 
 use std::io::{self, Write};
 
@@ -9,14 +9,14 @@ macro_rules! say {
     ($($words:tt)*) => { $crate::words::terminal::write_out(&format!($($words)*))? };
 }
 
-/// Writes a line to standard error, as far as that goes: it is no reason to stop anything.
+/// Writes a line to standard error if possible: a failure is no reason to stop anything.
 macro_rules! tell {
     ($($words:tt)*) => { $crate::words::terminal::write_err(&format!($($words)*)) };
 }
 
 pub(crate) use {say, tell};
 
-/// A line on standard output. Whoever reads it may go away early: then there is nobody to tell.
+/// Writes a line to standard output. It is not an error if the reader has gone away.
 pub(crate) fn write_out(line: &str) -> Result<(), Failure> {
     match writeln!(io::stdout(), "{line}") {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
@@ -26,15 +26,15 @@ pub(crate) fn write_out(line: &str) -> Result<(), Failure> {
     }
 }
 
-/// Prints what a command has come to.
+/// Prints the result of a command.
 ///
 /// # Errors
-/// If standard output does not take it.
+/// If it cannot be written to standard output.
 pub fn print_line(line: &str) -> Result<(), Failure> {
     write_out(line)
 }
 
-/// A line on standard error.
+/// Writes a line to standard error.
 pub(crate) fn write_err(line: &str) {
     let _ = writeln!(io::stderr(), "{line}");
 }
@@ -47,7 +47,7 @@ pub fn print_failure(failure: &Failure) {
 /// Prints a mistake on the command line: one line.
 pub fn print_usage_error(error: &clap::Error) {
     let text = error.to_string();
-    // The advice behind the first paragraph is in --help.
+    // The advice after the first paragraph is in --help.
     let first = text.split("\n\n").next().unwrap_or(&text);
     let first = first.strip_prefix("error: ").unwrap_or(first);
     write_err(&format!("pathtune: {}; see --help", one_line(first)));
@@ -62,5 +62,5 @@ fn one_line(text: &str) -> String {
     line.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Characters of a message that are shown.
+/// How many characters of a message are shown.
 const LONGEST: usize = 3000;

@@ -1,24 +1,30 @@
-//! One drive of one vehicle: reference, error, law, metrics, and the end.
+//! One drive of one vehicle: reference, error, law, measures, and the end.
 
-use config::{Gains, RunConfig};
+use config::{Parameters, RunConfig};
 use tracking::{
-    DriveMetrics, EndReason, MetricsRecorder, Pose, Reference, TrackingError, tracking_error,
+    DriveRecord, DriveRecorder, EndReason, PathFollower, Pose, Reference, TickMeasures,
+    TrackingError, tracking_error,
 };
 
-use crate::law::{ControlLaw, RawCommand};
+use crate::laws::{ControlLaw, LawState, RawCommand};
+use crate::sight::Sight;
 
 /// What the controller sees of the vehicle at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
-    /// Pose as measured: the law reads this one alone.
+    /// Pose as measured: the law reads only this one.
     pub measured: Pose,
-    /// Pose in truth, where the vehicle knows it: metrics read this one.
+    /// Forward speed.
+    pub speed_mps: f64,
+    /// Yaw rate, counter-clockwise.
+    pub yaw_rate_radps: f64,
+    /// True pose, if the vehicle knows it: the record of the drive is made from this one.
     pub truth: Option<Pose>,
     /// Whether the vehicle reports a collision.
     pub collision: bool,
 }
 
-/// What the controller makes of one tick.
+/// What the controller computes in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decision {
     /// The command of this tick.
@@ -27,17 +33,10 @@ pub struct Decision {
     pub error: TrackingError,
     /// Progress of the reference along the path.
     pub reference_along_m: f64,
-    /// The end of the drive, if this tick is its last.
-    pub ended: Option<Ended>,
-}
-
-/// The end of a drive.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ended {
-    /// What is remembered of it.
-    pub metrics: DriveMetrics,
-    /// Hash over every pose that was seen and every command that was given, bit for bit.
-    pub trace: u64,
+    /// Distance of the pose (the true one if it is known) from the nearest point of the path.
+    pub path_distance_m: f64,
+    /// The record of the drive, if this tick is its last.
+    pub ended: Option<DriveRecord>,
 }
 
 /// One drive of one vehicle.
@@ -45,54 +44,87 @@ pub struct Ended {
 pub struct DriveController {
     reference: Reference,
     law: ControlLaw,
-    metrics: MetricsRecorder,
-    goal_radius_m: f64,
+    recorder: DriveRecorder,
+    follower: PathFollower,
+    parameters: Parameters,
+    trace: Trace,
+    /// Where the law's last projection was, along the path.
+    near_m: f64,
     ticks: u64,
     /// Ticks that the reference's clock had run before it last started from rest.
     ticks_before: u64,
-    gains: Gains,
-    trace: Trace,
+    goal_radius_m: f64,
+    steering_limit_rad: f64,
+    tick_s: f64,
+    tracked_point_m: f64,
+    wheelbase_m: f64,
 }
 
 impl DriveController {
-    /// A drive with these gains, at its first tick.
+    /// A drive with parameters of 0, at its first tick; [`DriveController::reset`] gives others.
     pub fn new(config: &RunConfig) -> Self {
         Self {
             reference: Reference::new(config),
             law: ControlLaw::new(config),
-            metrics: MetricsRecorder::default(),
-            goal_radius_m: config.drive.goal_radius_m,
+            recorder: DriveRecorder::default(),
+            follower: PathFollower::default(),
+            parameters: Parameters::default(),
+            trace: Trace::default(),
+            near_m: 0.0,
             ticks: config.ticks(),
             ticks_before: 0,
-            gains: Gains::default(),
-            trace: Trace::default(),
+            goal_radius_m: config.drive.goal_radius_m,
+            steering_limit_rad: config.controller.steering_limit_rad,
+            tick_s: config.drive.tick_s,
+            tracked_point_m: config.vehicle.tracked_point_m,
+            wheelbase_m: config.vehicle.wheelbase_m,
         }
     }
 
-    /// Back to the first tick, with these gains and this length.
-    pub fn reset(&mut self, gains: Gains, ticks: u64) {
+    /// Returns to the first tick, with these parameters and this length.
+    pub fn reset(&mut self, parameters: Parameters, ticks: u64) {
         self.reference.reset();
         self.law.reset();
-        self.metrics = MetricsRecorder::default();
+        self.recorder.reset();
         self.trace = Trace::default();
-        self.gains = gains;
+        self.look_around(0.0);
+        self.parameters = parameters;
         self.ticks = ticks;
         self.ticks_before = 0;
     }
 
-    /// Goes on with a drive of which only this is known: where the reference's clock last started from rest, and the
-    /// steering angle that was commanded last. The next tick tells how long the clock has run.
-    pub fn join(&mut self, origin_m: f64, steering_rad: f64) {
+    /// Goes on with a drive of which only this is known: where the reference's clock last started from rest, where the
+    /// vehicle is, the steering angle that was commanded last, and the state that the law's predecessor left. The next
+    /// tick gives the time for which the clock has run.
+    pub fn join(
+        &mut self,
+        origin_m: f64,
+        measured: Pose,
+        steering_rad: f64,
+        state: Option<&LawState>,
+    ) {
         self.reference.restart_at(origin_m);
-        self.law.resume(steering_rad);
+        self.look_around(self.reference.projection_m(measured));
+        match state {
+            Some(state) => self.law.resume(state),
+            None => self.law.restart(steering_rad),
+        }
     }
 
     /// Lets the reference's clock start again from rest, where the vehicle stands: at its projection on the path. The
     /// clock had run for `phase` ticks.
     pub fn restart(&mut self, phase: u64, measured: Pose, steering_rad: f64) {
         self.ticks_before += phase;
-        self.reference.restart_at(self.reference.projection_m(measured));
-        self.law.resume(steering_rad);
+        let along_m = self.reference.projection_m(measured);
+        self.reference.restart_at(along_m);
+        self.look_around(along_m);
+        self.law.restart(steering_rad);
+    }
+
+    /// The next projection is looked for around this place.
+    fn look_around(&mut self, along_m: f64) {
+        self.near_m = along_m;
+        self.follower = PathFollower::new(self.reference.path(), along_m);
     }
 
     /// Where the reference's clock last started from rest, along the path.
@@ -100,9 +132,14 @@ impl DriveController {
         self.reference.origin_m()
     }
 
-    /// Other gains from this tick on; the filter's state carries over.
-    pub fn switch_gains(&mut self, gains: Gains) {
-        self.gains = gains;
+    /// What a successor of the law needs to go on.
+    pub fn law_state(&self) -> LawState {
+        self.law.state()
+    }
+
+    /// Other parameters from this tick on; the law's state carries over.
+    pub fn switch_parameters(&mut self, parameters: Parameters) {
+        self.parameters = parameters;
     }
 
     /// One tick, named by the ticks that the reference's clock has run. Call it for each from 0 on, until the drive
@@ -110,30 +147,58 @@ impl DriveController {
     // Inlined, its results stay in registers: written to memory in halves and read back whole, they stall.
     #[inline]
     pub fn tick(&mut self, tick: u64, seen: Seen) -> Decision {
-        let reference = self.reference.advance(tick, seen.measured);
-        let error = tracking_error(reference, seen.measured);
-        let command = self.law.command(self.gains, error);
+        let reference_pose = self.reference.advance(tick, seen.measured);
+        let Seen { measured, speed_mps, yaw_rate_radps, truth, .. } = seen;
+        let sight = Sight::of_vehicle(
+            self.tracked_point_m,
+            self.wheelbase_m,
+            &self.reference,
+            tick,
+        )
+        .with(reference_pose, measured, speed_mps, yaw_rate_radps, self.near_m);
+        let command = self.law.command(&self.parameters, &sight);
+        let error = sight.error;
+        self.near_m = sight.near_m();
 
-        let scored = seen.truth.map_or(error, |truth| tracking_error(reference, truth));
-        self.metrics.add(scored, self.law.is_steering_limited());
-        self.trace.add_pose(seen.measured);
-        self.trace.add_pose(seen.truth.unwrap_or_default());
+        let scored = truth.unwrap_or(measured);
+        let path_distance_m =
+            self.follower.distance_m(self.reference.path(), scored.x_m, scored.y_m);
+        self.recorder.add(TickMeasures {
+            error: truth.map_or(error, |truth| tracking_error(reference_pose, truth)),
+            path_distance_m,
+            steering_rad: command.steering_rad,
+            steering_limited: command.steering_rad.abs() >= self.steering_limit_rad,
+            lateral_acceleration_mps2: speed_mps * yaw_rate_radps,
+        });
+        self.trace.add_pose(measured);
+        self.trace.add_pose(truth.unwrap_or_default());
         self.trace.add(command.speed_mps);
         self.trace.add(command.yaw_rate_radps);
         self.trace.add(command.steering_rad);
 
-        let ended = self.end_reason(tick, seen).map(|reason| Ended {
-            metrics: self.metrics.finish(reason, self.ticks),
-            trace: self.trace.0,
-        });
-        Decision { command, error, reference_along_m: self.reference.along_m(), ended }
+        let ended = self.end_reason(tick, seen).map(|reason| self.end(reason, scored));
+        let reference_along_m = self.reference.along_m();
+        Decision { command, error, reference_along_m, path_distance_m, ended }
+    }
+
+    /// The record of the drive, which ends with the vehicle at this pose.
+    #[cold]
+    fn end(&mut self, reason: EndReason, pose: Pose) -> DriveRecord {
+        let path = self.reference.path();
+        let along_m = self.follower.along_m(path, pose.x_m, pose.y_m);
+        let progress = match reason {
+            // A vehicle within the goal's radius is at the end.
+            EndReason::Goal => 1.0,
+            _ => (along_m / path.length_m()).clamp(0.0, 1.0),
+        };
+        self.recorder.finish(reason, self.ticks, self.tick_s, progress, self.trace.0)
     }
 
     fn end_reason(&self, tick: u64, seen: Seen) -> Option<EndReason> {
         if seen.collision {
             return Some(EndReason::Collision);
         }
-        // Only behind the reference: a closed path must not end where it begins.
+        // Only after the reference: a closed path must not end where it begins.
         if self.reference.at_end() {
             let end = self.reference.end();
             let (dx, dy) = (seen.measured.x_m - end.x_m, seen.measured.y_m - end.y_m);
@@ -145,7 +210,7 @@ impl DriveController {
     }
 }
 
-/// FNV-1a over the bits of numbers: two drives with one trace saw and did the same.
+/// FNV-1a over the bits of numbers: two drives with the same trace saw and did the same.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Trace(u64);
 
@@ -183,7 +248,8 @@ mod tests {
     }
 
     fn still(x_m: f64) -> Seen {
-        Seen { measured: Pose { x_m, ..Pose::default() }, truth: None, collision: false }
+        let measured = Pose { x_m, ..Pose::default() };
+        Seen { measured, speed_mps: 0.0, yaw_rate_radps: 0.0, truth: None, collision: false }
     }
 
     #[test]
@@ -193,22 +259,30 @@ mod tests {
             assert!(drive.tick(tick, still(0.0)).ended.is_none());
         }
         let ended = drive.tick(499, still(0.0)).ended.unwrap();
-        assert_eq!((ended.metrics.ticks, ended.metrics.reason), (500, EndReason::Time));
+        assert_eq!((ended.ticks, ended.reason), (500, EndReason::Time));
     }
 
     #[test]
-    fn the_goal_counts_only_behind_the_reference() {
+    fn progress_is_the_share_of_the_path_that_lies_behind() {
+        let mut drive =
+            drive(&["drive.loop_time_s=0.01", "path.pieces=[{kind='straight',length_m=8.0}]"]);
+        let record = drive.tick(0, still(2.0)).ended.unwrap();
+        assert_eq!((record.progress, record.arrived()), (0.25, false));
+    }
+
+    #[test]
+    fn the_goal_counts_only_once_the_reference_is_there() {
         let mut drive = drive(&["path.pieces=[{kind='straight',length_m=0.75}]"]);
         assert!(drive.tick(0, still(0.75)).ended.is_none());
         let ended = drive.tick(100, still(0.6)).ended.unwrap();
-        assert_eq!(ended.metrics.reason, EndReason::Goal);
+        assert_eq!(ended.reason, EndReason::Goal);
     }
 
     #[test]
     fn a_collision_ends_a_drive() {
         let mut drive = drive(&[]);
         let ended = drive.tick(0, Seen { collision: true, ..still(0.0) }).ended.unwrap();
-        assert_eq!(ended.metrics.reason, EndReason::Collision);
+        assert_eq!(ended.reason, EndReason::Collision);
     }
 
     #[test]
@@ -224,11 +298,12 @@ mod tests {
     }
 
     #[test]
-    fn metrics_read_the_truth_and_the_law_the_measurement() {
+    fn the_record_reads_the_truth_and_the_law_the_measurement() {
         let mut drive = drive(&["drive.loop_time_s=0.01"]);
         let truth = Some(Pose { y_m: -2.0, ..Pose::default() });
         let decision = drive.tick(0, Seen { truth, ..still(0.0) });
         assert_eq!(decision.error.cross_track_m, 0.0);
-        assert_eq!(decision.ended.unwrap().metrics.mean_abs_cross_m, 2.0);
+        let record = decision.ended.unwrap();
+        assert_eq!((record.mean_abs_cross_m, record.path_mean_m), (2.0, 2.0));
     }
 }

@@ -1,10 +1,18 @@
-//! The paper's control law, and the process that applies it.
+//! The control laws, and the process that applies one.
 //!
-//! `law` and `drive` are pure; [`service`] joins them to the pipeline.
+//! [`laws`], `drive` and [`clock`] are pure; [`service`] joins them to the pipeline.
 
+// Tests may read and write files, start threads, and know the time.
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+
+pub mod clock;
 mod drive;
-mod law;
+pub mod laws;
+#[cfg(feature = "process")]
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
+mod sight;
 
-pub use drive::{Decision, DriveController, Ended, Seen};
-pub use law::{ControlLaw, RawCommand};
+pub use drive::{Decision, DriveController, Seen};
+pub use laws::{ControlLaw, LawState, RawCommand};
+pub use sight::Sight;

@@ -1,16 +1,17 @@
 //! The controller's process: odometry in, raw commands out, and a report at the end of a batch.
 
 use anyhow::Result;
-use config::{Gains, MAX_FLEET, RunConfig};
+use config::{LawConfig, MAX_FLEET, Parameters, RunConfig};
 use ipc_types::{
     Attempt, BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, KeptLawState, LawState,
     Odometry, RawCommand, Safety, TickHeader, TrackingError, WakeRole, WirePose, Zone, has,
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
-use tracking::{EndReason, Pose};
+use tracking::{DriveRecord, EndReason, Pose};
 
-use crate::{Decision, DriveController, Ended, Seen};
+use crate::clock::{GateReport, Moved, ReferenceClock, finite_or_zero};
+use crate::{Decision, DriveController, Seen};
 
 /// Runs the process until it is asked to stop.
 ///
@@ -29,7 +30,7 @@ struct Controller {
     odometry: Inlet<Odometry>,
     zones: Inlet<Zone>,
     gains: Inlet<GainSwitch>,
-    /// Made before the ear on `safety`: who has heard that has heard this.
+    /// Made before the inlet of `safety`: a process that has received `safety` has received this.
     kept_law_states: Inlet<KeptLawState>,
     safety: Inlet<Safety>,
     law_states: Outlet<LawState>,
@@ -37,70 +38,52 @@ struct Controller {
     errors: Outlet<TrackingError>,
     reports: Outlet<DriveReport>,
     run: u64,
+    /// The law's bounds for its parameters: those that come from other processes are checked against them.
+    law: LawConfig,
     /// A drive at its first tick, to be copied into new slots.
     fresh: DriveController,
-    /// What was asked for, one a slot; apart, because no tick reads it.
+    /// The requests, one for each slot; kept apart, because no tick reads them.
     requested: Vec<DriveRequest>,
     slots: Vec<Slot>,
-    /// Odometry that something else must come before: the request of its batch, or a zone's gains. They
+    /// Odometry that must wait for something else: the request of its batch, or a zone's parameters. They
     /// travel on different topics.
     held: Option<Received<Odometry>>,
-    /// Whether gains change with the zone in the batch under way.
+    /// Whether parameters change with the zone in the batch under way.
     scheduled: bool,
-    /// Whether the vehicle paces by the clock: then nobody is waited for, and ticks may be missing.
+    /// Whether the vehicle paces by the clock: then it waits for no process, and ticks may be missing.
     real_time: bool,
     started_ns: u64,
-    /// The laws' states, as the supervisor has kept them for a controller that joins a drive; empty if it has told none.
+    /// The laws' states, as the supervisor has kept them for a controller that joins a drive; empty if it has sent
+    /// none.
     kept: Vec<KeptLawState>,
-    /// The batch that is driven, with the tick that comes next; none between batches.
+    /// The batch that is driven, with the tick that comes next; `None` between batches.
     driving: Option<(BatchHeader, u64)>,
-    /// The last attempt that was asked for.
+    /// The last attempt that was requested.
     last: Attempt,
     counters: Counters,
 }
-
-/// Ticks for which a restarted controller waits for somebody who knows how the drive stands: the supervisor tells it
-/// at least once a tick, unless it was restarted, too.
-const JOINS_WITHIN: u32 = 20;
-
-/// More than any drive lasts.
-const LONGEST_TICKS: f64 = 1e9;
 
 struct Slot {
     drive: DriveController,
     /// The last odometry that could be believed.
     seen: Seen,
-    has_truth: bool,
     answer: Answer,
-    ended: Option<Box<Ended>>,
-    /// This process joined the drive on its way.
+    /// The record of the drive, once it has ended.
+    record: Option<Box<DriveRecord>>,
+    /// This process joined the drive while it was under way.
     joined: bool,
-    /// The zone whose gains the next tick must have.
+    /// The zone whose parameters the next tick must have.
     awaited: Option<u32>,
-    clock: Clock,
+    clock: ReferenceClock,
 }
 
-/// What was made of the last tick.
+/// What was computed in the last tick.
 #[derive(Debug, Clone, Copy, Default)]
 struct Answer {
     command: crate::RawCommand,
     error: tracking::TrackingError,
     reference_along_m: f64,
-}
-
-/// The clock of a slot's reference. In lockstep it is the tick.
-#[derive(Debug, Clone, Copy)]
-struct Clock {
-    /// Ticks that it has run since it last started from rest.
-    phase_ticks: f64,
-    /// The tick at which it had run so long; none before the first.
-    at_tick: Option<u64>,
-    /// Its rate, as the supervisor tells it.
-    rate: f64,
-    /// The vehicle is being stopped, or stands: behind that, the clock starts from rest.
-    frozen: bool,
-    /// The drive had begun before this process did: ticks that are still waited for somebody who knows how it stands.
-    joins_within: Option<u32>,
+    path_distance_m: f64,
 }
 
 impl Controller {
@@ -118,6 +101,7 @@ impl Controller {
             reports: bus.outlet()?,
             run,
             fresh: DriveController::new(&config),
+            law: config.law,
             requested: Vec::new(),
             slots: Vec::new(),
             held: None,
@@ -137,6 +121,10 @@ impl Controller {
             self.counters.dropped += 1;
             return;
         }
+        if requests.iter().any(|it| self.law.check(&Parameters(it.parameters)).is_err()) {
+            self.counters.rejected += 1;
+            return;
+        }
         self.requested = requests.to_vec();
         self.kept.clear();
         self.slots.clear();
@@ -144,7 +132,7 @@ impl Controller {
         self.real_time = requests.iter().any(|it| has(it.flags, DriveRequest::REAL_TIME));
         if self.real_time && header.sent_ns < self.started_ns {
             for slot in &mut self.slots {
-                slot.clock.joins_within = Some(JOINS_WITHIN);
+                slot.clock = ReferenceClock::joining();
             }
         }
         self.scheduled = requests.iter().any(|it| has(it.flags, DriveRequest::SCHEDULED));
@@ -154,15 +142,11 @@ impl Controller {
 
     fn answer(&mut self, header: TickHeader, odometry: &[Odometry]) -> Result<()> {
         let received_ns = now_ns();
-        let expected = self.driving.is_some_and(|(batch, tick)| {
-            let is_next = if self.real_time { header.tick >= tick } else { header.tick == tick };
-            header.attempt == batch.attempt && is_next
-        });
         if self.real_time && self.driving.is_none() {
-            // A vehicle goes on behind the end of its drive.
+            // A vehicle goes on after the end of its drive.
             return Ok(());
         }
-        if !expected || odometry.len() != self.slots.len() {
+        if !self.expects(header) || odometry.len() != self.slots.len() {
             self.counters.dropped += 1;
             return Ok(());
         }
@@ -172,11 +156,11 @@ impl Controller {
         let real_time = self.real_time;
         let Self { slots, counters, .. } = self;
         let mut sent_ns = 0;
-        // In one go for each vehicle: a fleet does not fit into the nearest cache.
+        // All steps for one vehicle after the other: a fleet does not fit into the nearest cache.
         let answer = |index: usize| {
             let slot = &mut slots[index];
             if !real_time {
-                slot.clock.phase_ticks = header.tick as f64;
+                slot.clock.set(header.tick);
             }
             let believed = slot.tick(&odometry[index]);
             counters.rejected += u64::from(!believed);
@@ -184,13 +168,8 @@ impl Controller {
         };
         let written = self.raw_commands.write(odometry.len(), answer)?;
         if real_time {
-            // Before the raw command: who has that has this.
-            let (tick, sent_ns) = (header.tick, now_ns());
-            let header = BatchHeader { attempt: header.attempt, sent_ns, ..BatchHeader::default() };
-            let slots = &self.slots;
-            self.law_states.send_quietly(header, slots.len(), |index| {
-                slots[index].law_state(tick, index as u32)
-            })?;
+            // Before the raw command: a process that has the raw command has this, too.
+            tell_law_states(&self.law_states, header, &self.slots)?;
         }
         written.send(|now_ns| {
             sent_ns = now_ns;
@@ -210,16 +189,25 @@ impl Controller {
             self.counters.batch = batch.attempt.batch;
             self.counters.tick = *tick;
         }
-        if slots.iter().all(|slot| slot.ended.is_some()) {
+        if slots.iter().all(|slot| slot.record.is_some()) {
             self.report()?;
         }
         Ok(())
     }
 
-    /// Hears zones and their gains; whether a tick must still wait for gains.
+    /// Whether odometry with this header is what the batch goes on with.
+    fn expects(&self, header: TickHeader) -> bool {
+        self.driving.is_some_and(|(batch, tick)| {
+            let is_next = if self.real_time { header.tick >= tick } else { header.tick == tick };
+            header.attempt == batch.attempt && is_next
+        })
+    }
+
+    /// Receives zones and their parameters; returns whether a tick must still wait for parameters.
     ///
-    /// A zone is sent before the command that the vehicle answers with its tick's odometry: by now it is here.
-    fn awaits_gains(&mut self) -> Result<bool> {
+    /// A zone is sent before the command that the vehicle answers with the odometry of the zone's tick: by now it is
+    /// here.
+    fn awaits_parameters(&mut self) -> Result<bool> {
         let Some((batch, tick)) = self.driving.filter(|_| self.scheduled) else {
             return Ok(false);
         };
@@ -241,26 +229,26 @@ impl Controller {
                     self.counters.dropped += 1;
                     continue;
                 };
-                let gains = Gains::from_parameters(&switch.parameters);
-                if config::check_gains(gains).is_err() {
+                let parameters = Parameters(switch.parameters);
+                if self.law.check(&parameters).is_err() {
                     self.counters.rejected += 1;
                     continue;
                 }
                 slot.awaited = None;
-                slot.drive.switch_gains(gains);
+                slot.drive.switch_parameters(parameters);
                 let (slot, zone) = (switch.slot, switch.zone);
-                let Gains { kv, kl, ks, ki } = gains;
-                tracing::info!(tick, slot, zone, kv, kl, ks, ki, "gains switched");
+                let parameters = self.law.values(&parameters);
+                tracing::info!(tick, slot, zone, ?parameters, "parameters switched");
             }
         }
         let awaits = self.slots.iter().any(|slot| slot.awaited.is_some());
-        // In real time the old gains go on.
+        // In real time the old parameters stay in use.
         self.counters.late += u64::from(awaits && self.real_time);
         Ok(awaits && !self.real_time)
     }
 
-    /// Hears what the gate does: whether a reference stands still, and how a drive stands that is joined. Whether this
-    /// tick can be answered.
+    /// Receives the gate's reports: whether a reference stands still, and the state of a drive that is joined. Returns
+    /// whether this tick can be answered.
     fn hear_safety(&mut self, tick: u64, odometry: &[Odometry]) -> Result<bool> {
         let (attempt, len) = (self.last, self.slots.len());
         let is_ours = |of: BatchHeader, items: usize| of.attempt == attempt && items == len;
@@ -270,8 +258,8 @@ impl Controller {
                 newest = Some(message);
             }
         }
-        // Only a drive that is joined is in want of it.
-        let joins = self.slots.iter().any(|slot| slot.clock.joins_within.is_some());
+        // Only a drive that is being joined needs it.
+        let joins = self.slots.iter().any(|slot| slot.clock.is_joining());
         let kept = if joins { self.kept_law_states.receive_newest()? } else { None };
         if let Some(kept) = kept.filter(|it| is_ours(it.header(), it.items().len())) {
             self.kept = kept.items().to_vec();
@@ -279,8 +267,8 @@ impl Controller {
         let mut ready = true;
         for (index, (slot, odometry)) in self.slots.iter_mut().zip(odometry).enumerate() {
             let safety = newest.as_ref().map(|message| message.items()[index]);
-            let filter_rad = self.kept.get(index).and_then(filter_rad);
-            ready &= slot.follow(tick, safety, filter_rad, pose(odometry.measured));
+            let state = self.kept.get(index).and_then(kept_state);
+            ready &= slot.follow(tick, safety, state.as_ref(), seen(odometry));
         }
         Ok(ready)
     }
@@ -294,154 +282,128 @@ impl Controller {
     }
 }
 
+/// Sends the state that the laws must not lose if this process is replaced.
+fn tell_law_states(law_states: &Outlet<LawState>, tick: TickHeader, slots: &[Slot]) -> Result<()> {
+    let TickHeader { attempt, tick, .. } = tick;
+    let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
+    let state = |index: usize| slots[index].law_state(tick, index as u32);
+    law_states.send_quietly(header, slots.len(), state)?;
+    Ok(())
+}
+
 impl Slot {
     fn new(fresh: &DriveController, request: &DriveRequest) -> Self {
         let mut drive = fresh.clone();
-        drive.reset(Gains::from_parameters(&request.parameters), request.ticks);
-        let start = pose(request.start);
+        drive.reset(Parameters(request.parameters), request.ticks);
+        let measured = pose(request.start);
         Self {
             drive,
-            seen: Seen { measured: start, truth: None, collision: false },
-            has_truth: false,
+            seen: Seen {
+                measured,
+                speed_mps: 0.0,
+                yaw_rate_radps: 0.0,
+                truth: None,
+                collision: false,
+            },
             answer: Answer::default(),
-            ended: None,
+            record: None,
             joined: false,
             awaited: None,
-            clock: Clock {
-                phase_ticks: 0.0,
-                at_tick: None,
-                rate: 1.0,
-                frozen: false,
-                joins_within: None,
-            },
+            clock: ReferenceClock::default(),
         }
     }
 
-    /// Lets the reference's clock run to `tick`, or stand still, as the gate says. Whether the tick can be answered: a
-    /// drive that was joined has to wait until somebody has told how it stands. `filter_rad` is where the law's filter
-    /// goes on then, if that was kept.
+    /// Lets the reference's clock run to `tick`, or stand still, as the gate says. Returns whether the tick can be
+    /// answered: a drive that is being joined has to wait until its state is reported. Then the law goes on from
+    /// `state`, if that was kept.
     fn follow(
         &mut self,
         tick: u64,
         safety: Option<Safety>,
-        filter_rad: Option<f64>,
-        measured: Pose,
+        state: Option<&crate::LawState>,
+        seen: Option<Seen>,
     ) -> bool {
-        let clock = &mut self.clock;
-        if let Some(left) = clock.joins_within {
-            match safety {
-                Some(it) if it.has_reference != 0 && it.origin_m.is_finite() => {
-                    let steering_rad = finite_or_zero(it.steering_rad);
-                    self.drive.join(it.origin_m, filter_rad.unwrap_or(steering_rad));
-                    clock.frozen = is_latched(it.state);
-                    clock.phase_ticks = finite_or_zero(it.phase_ticks).clamp(0.0, LONGEST_TICKS);
-                    clock.at_tick = Some(it.tick);
-                }
-                // The supervisor knows no more than we do: it has been restarted, too.
-                _ if left == 0 => {
-                    self.drive.restart(0, measured, 0.0);
-                    clock.at_tick = Some(tick);
-                }
-                _ => {
-                    clock.joins_within = Some(left - 1);
-                    return false;
-                }
-            }
-            clock.joins_within = None;
-            self.joined = true;
-            tracing::info!(
-                tick,
-                phase_ticks = clock.phase_ticks,
-                frozen = clock.frozen,
-                "joined the drive"
-            );
-        } else if let Some(it) = safety {
-            let frozen = is_latched(it.state);
-            if clock.frozen && !frozen {
-                let steering_rad = finite_or_zero(it.steering_rad);
-                self.drive.restart(clock.whole_ticks(), measured, steering_rad);
-                (clock.phase_ticks, clock.at_tick) = (0.0, Some(tick));
+        // To join, it must know where the vehicle is.
+        let safety = safety.filter(|_| seen.is_some() || !self.clock.is_joining());
+        let measured = seen.unwrap_or(self.seen).measured;
+        let steering_rad = safety.map_or(0.0, |it| finite_or_zero(it.steering_rad));
+        match self.clock.advance(tick, safety.map(gate_report)) {
+            Moved::On => return true,
+            Moved::Held => return false,
+            Moved::Restarted { after_ticks } => {
+                self.drive.restart(after_ticks, measured, steering_rad);
                 tracing::info!(tick, from_m = self.drive.origin_m(), "rearmed");
+                return true;
             }
-            clock.frozen = frozen;
+            Moved::Joined { origin_m } => {
+                self.drive.join(origin_m, measured, steering_rad, state);
+            }
+            Moved::JoinedAnew => self.drive.restart(0, measured, 0.0),
         }
-        clock.rate = safety.map_or(clock.rate, |it| finite_or_zero(it.clock_rate).max(0.0));
-        let since = clock.at_tick.map_or(tick, |at| tick.saturating_sub(at));
-        clock.phase_ticks += clock.rate * since as f64;
-        clock.at_tick = Some(tick);
+        self.joined = true;
+        let (phase_ticks, frozen) = (self.clock.phase_ticks(), self.clock.is_frozen());
+        tracing::info!(tick, phase_ticks, frozen, "joined the drive");
         true
     }
 
-    /// One tick; whether the odometry could be believed. If not, the last one stands in for it.
+    /// Computes one tick; returns whether the odometry could be believed. If not, the last one stands in for it.
     fn tick(&mut self, odometry: &Odometry) -> bool {
-        if self.ended.is_some() {
+        if self.record.is_some() {
             return true;
         }
-        let has_truth = has(odometry.status, Odometry::HAS_TRUTH);
-        let mut seen = Seen {
-            measured: pose(odometry.measured),
-            truth: has_truth.then(|| pose(odometry.truth)),
-            collision: has(odometry.status, Odometry::COLLISION),
-        };
-        let believed =
-            seen.measured.is_finite() && seen.truth.is_none_or(|truth| truth.is_finite());
-        if believed {
-            self.seen = seen;
-            self.has_truth = has_truth;
-        } else {
-            seen = self.seen;
-        }
-        let Decision { command, error, reference_along_m, ended } =
+        let believed = seen(odometry);
+        let seen = believed.unwrap_or(self.seen);
+        self.seen = seen;
+        let Decision { command, error, reference_along_m, path_distance_m, ended } =
             self.drive.tick(self.clock.whole_ticks(), seen);
-        self.answer = Answer { command, error, reference_along_m };
-        self.ended = ended.map(Box::new);
-        believed
+        self.answer = Answer { command, error, reference_along_m, path_distance_m };
+        self.record = ended.map(Box::new);
+        believed.is_some()
     }
 
     fn report(&self, request: &DriveRequest) -> DriveReport {
-        let Some(ended) = &self.ended else { return DriveReport::default() };
-        let Ended { metrics, trace } = **ended;
+        let Some(record) = &self.record else { return DriveReport::default() };
         DriveReport {
             parameters: request.parameters,
             seed: request.seed,
-            ticks: metrics.ticks,
-            steering_limited_ticks: metrics.steering_limited_ticks,
-            trace,
-            mean_abs_along_m: metrics.mean_abs_along_m,
-            mean_abs_cross_m: metrics.mean_abs_cross_m,
-            mean_abs_heading_rad: metrics.mean_abs_heading_rad,
-            along_mse_m2: metrics.along_mse_m2,
-            cross_mse_m2: metrics.cross_mse_m2,
-            max_abs_cross_m: metrics.max_abs_cross_m,
-            path_mean_m: 0.0,
-            path_p95_m: 0.0,
-            path_max_m: 0.0,
-            progress: 0.0,
-            steering_travel_radps: 0.0,
-            lateral_acceleration_max_mps2: 0.0,
+            ticks: record.ticks,
+            steering_limited_ticks: record.steering_limited_ticks,
+            trace: record.trace,
+            mean_abs_along_m: record.mean_abs_along_m,
+            mean_abs_cross_m: record.mean_abs_cross_m,
+            mean_abs_heading_rad: record.mean_abs_heading_rad,
+            along_mse_m2: record.along_mse_m2,
+            cross_mse_m2: record.cross_mse_m2,
+            max_abs_cross_m: record.max_abs_cross_m,
+            path_mean_m: record.path_mean_m,
+            path_p95_m: record.path_p95_m,
+            path_max_m: record.path_max_m,
+            progress: record.progress,
+            steering_travel_radps: record.steering_travel_radps,
+            lateral_acceleration_max_mps2: record.lateral_acceleration_max_mps2,
             learner: request.learner,
             step: request.step,
-            reason: match metrics.reason {
+            reason: match record.reason {
                 EndReason::Time => DriveReport::TIME,
                 EndReason::Goal => DriveReport::GOAL,
                 EndReason::Collision => DriveReport::COLLISION,
             },
-            flags: if self.has_truth { Odometry::HAS_TRUTH } else { 0 }
+            flags: if self.seen.truth.is_some() { Odometry::HAS_TRUTH } else { 0 }
                 | if self.joined { DriveReport::JOINED } else { 0 },
         }
     }
 
     fn raw_command(&self) -> RawCommand {
         let command = self.answer.command;
-        let flags = if self.ended.is_some() { Command::ENDED } else { 0 }
-            | if self.clock.frozen { RawCommand::FROZEN } else { 0 };
+        let flags = if self.record.is_some() { Command::ENDED } else { 0 }
+            | if self.clock.is_frozen() { RawCommand::FROZEN } else { 0 };
         RawCommand {
             speed_mps: command.speed_mps,
             yaw_rate_radps: command.yaw_rate_radps,
             steering_rad: command.steering_rad,
             reference_along_m: self.answer.reference_along_m,
             origin_m: self.drive.origin_m(),
-            phase_ticks: self.clock.phase_ticks,
+            phase_ticks: self.clock.phase_ticks(),
             flags,
             reserved: 0,
         }
@@ -454,37 +416,49 @@ impl Slot {
             cross_track_m: error.cross_track_m,
             heading_rad: error.heading_rad,
             reference_along_m: self.answer.reference_along_m,
-            path_distance_m: 0.0,
+            path_distance_m: self.answer.path_distance_m,
         }
     }
 
-    /// What the law must not lose if this process is replaced: the state of its filter, which is the angle that it
-    /// wanted last.
+    /// The state that the law must not lose if this process is replaced.
     fn law_state(&self, tick: u64, slot: u32) -> LawState {
-        let mut state = LawState { tick, slot, count: 1, ..LawState::default() };
-        state.numbers[0] = self.answer.command.steering_rad;
-        state
+        let state = self.drive.law_state();
+        let numbers = state.numbers();
+        let mut wire = LawState { tick, slot, count: numbers.len() as u32, ..LawState::default() };
+        wire.numbers[..numbers.len()].copy_from_slice(numbers);
+        wire
     }
 }
 
-impl Clock {
-    /// The drive counts whole ticks.
-    fn whole_ticks(&self) -> u64 {
-        self.phase_ticks as u64
+/// The state from which a law can go on, if one was kept.
+fn kept_state(kept: &KeptLawState) -> Option<crate::LawState> {
+    let numbers = kept.numbers.get(..kept.count as usize)?;
+    let is_usable = !numbers.is_empty() && numbers.iter().all(|number| number.is_finite());
+    is_usable.then(|| crate::LawState::of(numbers))
+}
+
+/// The part of the gate's report on which the reference's clock depends.
+fn gate_report(safety: Safety) -> GateReport {
+    let Safety { tick, origin_m, phase_ticks, clock_rate, state, .. } = safety;
+    GateReport {
+        tick,
+        reference: (safety.has_reference != 0).then_some((origin_m, phase_ticks)),
+        clock_rate,
+        is_stopped: state == Safety::STOPPING || state == Safety::STOPPED,
     }
 }
 
-/// The state of the law's filter, if one was kept.
-fn filter_rad(kept: &KeptLawState) -> Option<f64> {
-    Some(kept.numbers[0]).filter(|rad| kept.count == 1 && rad.is_finite())
-}
-
-fn is_latched(state: u32) -> bool {
-    state == Safety::STOPPING || state == Safety::STOPPED
-}
-
-fn finite_or_zero(number: f64) -> f64 {
-    if number.is_finite() { number } else { 0.0 }
+/// The odometry, if all of its numbers can be believed.
+fn seen(odometry: &Odometry) -> Option<Seen> {
+    let Odometry { speed_mps, yaw_rate_radps, status, .. } = *odometry;
+    let measured = pose(odometry.measured);
+    let truth = has(status, Odometry::HAS_TRUTH).then(|| pose(odometry.truth));
+    let is_finite = measured.is_finite()
+        && truth.is_none_or(|truth| truth.is_finite())
+        && speed_mps.is_finite()
+        && yaw_rate_radps.is_finite();
+    let collision = has(status, Odometry::COLLISION);
+    is_finite.then_some(Seen { measured, speed_mps, yaw_rate_radps, truth, collision })
 }
 
 fn pose(wire: WirePose) -> Pose {
@@ -503,7 +477,7 @@ impl Service for Controller {
         }
         if self.real_time {
             newest = self.odometry.receive()?;
-            // What came before the newest is too old to be answered.
+            // Odometry before the newest is too old to be answered.
             while let Some(newer) = self.odometry.receive()? {
                 self.counters.late += 1;
                 newest = Some(newer);
@@ -512,7 +486,7 @@ impl Service for Controller {
         let is_new = newest.is_some();
         let odometry = match (newest, self.held.take()) {
             (Some(new), held) => {
-                // What was held belongs to nothing that anybody asked for.
+                // What was held belongs to no batch that was requested.
                 self.counters.dropped += u64::from(held.is_some());
                 new
             }
@@ -521,9 +495,9 @@ impl Service for Controller {
         };
         let header = odometry.header();
         let is_early = header.attempt.is_ahead_of(&self.last);
-        if is_early || self.awaits_gains()? {
+        if is_early || self.awaits_parameters()? {
             self.held = Some(odometry);
-            // What it waits for may be here already, and nobody wakes us for it again.
+            // What it waits for may be here already, and there will be no second wake-up for it.
             return Ok(is_new);
         }
         self.answer(odometry.header(), odometry.items())?;
@@ -554,7 +528,8 @@ mod tests {
         let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
         let tick = TickHeader { attempt, ..TickHeader::default() };
         odometry.send(tick, 1, |_| Odometry::default()).unwrap();
-        // News, although there is nothing to be done: the request may have come meanwhile, and its wake-up is over.
+        // Counts as progress although there is nothing to do: the request may have come meanwhile, and its wake-up is
+        // over.
         assert!(controller.poll().unwrap());
         assert!(!controller.poll().unwrap());
         let request = BatchHeader { attempt, ..BatchHeader::default() };
@@ -568,7 +543,62 @@ mod tests {
     }
 
     #[test]
-    fn a_controller_that_joins_a_drive_resumes_the_filter_that_was_kept() {
+    fn parameters_that_cannot_be_driven_are_not() {
+        let names = RunNames::create().unwrap();
+        let bus = Bus::create(&names, 1).unwrap();
+        let config = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+        let mut controller = Controller::new(&bus, config, names.run, now_ns()).unwrap();
+        let requests = bus.outlet().unwrap();
+        let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
+        let header = BatchHeader { attempt, ..BatchHeader::default() };
+        for (ki, is_driven) in [(f64::NAN, false), (1.5, false), (0.5, true)] {
+            let parameters = Parameters::of(&[1.0, 1.0, 1.0, ki]).0;
+            let request = DriveRequest { parameters, ticks: 1, ..DriveRequest::default() };
+            requests.send(header, 1, |_| request).unwrap();
+            assert!(controller.poll().unwrap());
+            assert_eq!(controller.driving.is_some(), is_driven, "{ki}");
+        }
+        assert_eq!(controller.counters.rejected, 2);
+        drop((controller, requests, bus));
+        names.remove();
+    }
+
+    #[test]
+    fn a_report_and_an_error_tell_the_distance_from_the_path() {
+        let names = RunNames::create().unwrap();
+        let bus = Bus::create(&names, 1).unwrap();
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set("path.pieces=[{kind='straight',length_m=8.0}]").unwrap();
+        let config = layers.resolve().unwrap();
+        let mut controller = Controller::new(&bus, config, names.run, now_ns()).unwrap();
+        let (odometry, requests) = (bus.outlet().unwrap(), bus.outlet().unwrap());
+        let reports = bus.observe::<DriveReport>().unwrap();
+        let errors = bus.observe::<TrackingError>().unwrap();
+        let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
+        let header = BatchHeader { attempt, ..BatchHeader::default() };
+        requests.send(header, 1, |_| DriveRequest { ticks: 1, ..DriveRequest::default() }).unwrap();
+        assert!(controller.poll().unwrap());
+        let tick = TickHeader { attempt, ..TickHeader::default() };
+        let beside = Odometry {
+            measured: WirePose { x_m: 1.0, y_m: -0.5, yaw_rad: 0.0 },
+            speed_mps: 2.0,
+            yaw_rate_radps: -0.25,
+            ..Odometry::default()
+        };
+        odometry.send(tick, 1, |_| beside).unwrap();
+        assert!(controller.poll().unwrap());
+        let error = errors.receive().unwrap().unwrap().items()[0];
+        assert_eq!((error.along_track_m, error.path_distance_m), (-1.0, 0.5));
+        let report = reports.receive().unwrap().unwrap().items()[0];
+        assert_eq!((report.ticks, report.path_max_m, report.path_mean_m), (1, 0.5, 0.5));
+        assert_eq!(report.lateral_acceleration_max_mps2, 0.5);
+        assert!(report.progress > 0.0 && report.progress < 1.0);
+        drop((controller, odometry, requests, reports, errors, bus));
+        names.remove();
+    }
+
+    #[test]
+    fn a_controller_that_joins_a_drive_resumes_the_state_of_the_law_that_was_kept() {
         for kept_rad in [None, Some(0.25)] {
             let names = RunNames::create().unwrap();
             let bus = Bus::create(&names, 1).unwrap();
@@ -581,12 +611,11 @@ mod tests {
             let states = bus.observe::<LawState>().unwrap();
 
             let attempt = Attempt { run: names.run, batch: 1, attempt: 1, reserved: 0 };
-            // It was asked for before this controller began.
+            // It was requested before this controller started.
             let header = BatchHeader { attempt, sent_ns: 1, ..BatchHeader::default() };
             // The filter alone: each tick halves its angle.
-            let gains = Gains { ki: 0.5, ..Gains::default() };
             let request = DriveRequest {
-                parameters: gains.to_parameters(),
+                parameters: Parameters::of(&[0.0, 0.0, 0.0, 0.5]).0,
                 ticks,
                 flags: DriveRequest::REAL_TIME,
                 ..DriveRequest::default()

@@ -1,14 +1,14 @@
-//! Latencies from stamps: which messages belong to the same tick, what lies between their stamps, and how often
-//! each span was seen. Knows no clock, no bus and no terminal.
+//! Latencies from stamps: which messages belong to the same tick, how much time lies between their stamps, and how
+//! often each span was seen. Knows no clock, no bus and no terminal.
 //!
-//! Every message carries the stamps of the hops behind it, so most spans are within one header. What a vehicle
-//! does with command k is told by odometry k+1 alone: those two are joined by batch, attempt and tick.
+//! Every message carries the stamps of the hops that it has passed, so most spans are within one header. What a vehicle
+//! does with command k is reported only by odometry k+1: the two are joined by batch, attempt and tick.
 
 use hdrhistogram::Histogram;
 use ipc_types::TickHeader;
 use ipc_types::topics::OBSERVER_BUFFER;
 
-/// A way that a tick takes, from one stamp to the next; the last one is all of them together.
+/// A part of a tick's way, from one stamp to the next; the last one is the whole way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Hop {
     /// From the vehicle's odometry until the controller has taken it.
@@ -49,37 +49,38 @@ impl Hop {
     }
 }
 
-/// The longest span that is told apart from longer ones.
+/// The longest span that is distinguished from longer ones.
 const LONGEST_NS: u64 = 60_000_000_000;
-/// A longer span is no latency but a stamp of something else.
+/// A longer span is not a latency: one of its stamps is of something else.
 const IMPLAUSIBLE_NS: u64 = 3_600_000_000_000;
-/// No batch has that many ticks: a larger number is no tick.
+/// No batch has this many ticks: a larger number is not a tick.
 const IMPLAUSIBLE_TICK: u64 = 1 << 32;
-/// Headers that wait for their counterpart. The topics are drained one behind the other, so one can be ahead of
+/// How many headers wait for their counterpart. The topics are drained one after the other, so one can be ahead of
 /// another by as much as a buffer holds.
 const WAITING: usize = 2 * OBSERVER_BUFFER;
 
-/// How often things were seen.
+/// Counts of what was seen.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct TickCounts {
     /// Ticks whose odometry was seen.
     pub ticks: u64,
-    /// Ticks that were driven and not seen, as the gaps between tick numbers tell.
+    /// Ticks that were driven but not seen, according to the gaps between tick numbers.
     pub missed: u64,
-    /// Batches of which nothing was seen. How many ticks they had, nobody knows here.
+    /// Batches of which nothing was seen. How many ticks they had is not known here.
     pub missed_batches: u64,
     /// Ticks whose command was applied later than the budget allows, or not in time for the next tick at all.
     pub deadline_misses: u64,
-    /// The latter of these: the vehicle had gone on before the command was sent.
+    /// Those of them that missed the next tick: the vehicle had gone on before the command was sent.
     pub late: u64,
     /// Spans left out because a stamp was missing, went backwards or made no sense.
     pub implausible: u64,
-    /// Messages that belong to no tick in order: of another run, of a batch that is over, or a tick twice.
+    /// Messages that belong to no regular tick: of another run, of a batch that is over, or of a tick that was seen
+    /// before.
     pub strays: u64,
 }
 
-impl Counts {
-    fn add(&mut self, other: Counts) {
+impl TickCounts {
+    fn add(&mut self, other: TickCounts) {
         self.ticks += other.ticks;
         self.missed += other.missed;
         self.missed_batches += other.missed_batches;
@@ -90,14 +91,14 @@ impl Counts {
     }
 }
 
-/// What was seen over some time.
+/// What was seen over a certain time.
 #[derive(Debug, Clone)]
 pub struct Figures {
     hops: Vec<Histogram<u64>>,
-    /// Spans between the odometries of consecutive ticks.
+    /// Spans between the odometry of consecutive ticks.
     pub period: Histogram<u64>,
-    /// How often things were seen.
-    pub counts: Counts,
+    /// Counts of what was seen.
+    pub counts: TickCounts,
 }
 
 impl Figures {
@@ -108,7 +109,7 @@ impl Figures {
     pub fn new() -> Self {
         let histogram = || Histogram::new_with_bounds(1, LONGEST_NS, 3).expect("bounds in order");
         let hops = Hop::ALL.iter().map(|_| histogram()).collect();
-        Self { hops, period: histogram(), counts: Counts::default() }
+        Self { hops, period: histogram(), counts: TickCounts::default() }
     }
 
     /// The spans of a hop.
@@ -132,7 +133,7 @@ impl Figures {
     pub fn reset(&mut self) {
         self.hops.iter_mut().for_each(Histogram::reset);
         self.period.reset();
-        self.counts = Counts::default();
+        self.counts = TickCounts::default();
     }
 }
 
@@ -142,8 +143,8 @@ impl Default for Figures {
     }
 }
 
-/// Headers that wait for their counterpart, each in the place that its tick gives it. What nobody comes for is
-/// overwritten in time.
+/// Headers that wait for their counterpart, each in a place that depends on its tick. A header whose counterpart never
+/// comes is overwritten in time.
 struct Waiting {
     places: Vec<Option<TickHeader>>,
 }
@@ -169,7 +170,7 @@ pub struct Latency {
     run: u64,
     budget_ns: u64,
     figures: Figures,
-    /// Odometry that was seen last.
+    /// The odometry that was seen last.
     last: Option<TickHeader>,
     odometry: Waiting,
     commands: Waiting,
@@ -177,7 +178,7 @@ pub struct Latency {
 }
 
 impl Latency {
-    /// For a run; an end-to-end span above the budget is a deadline miss.
+    /// Creates it for a run; an end-to-end span above the budget is a deadline miss.
     pub fn new(run: u64, budget_ns: u64) -> Self {
         Self {
             run,
@@ -221,7 +222,7 @@ impl Latency {
         }
         let counts = &mut self.figures.counts;
         match self.last {
-            // Who joins in the middle has missed nothing.
+            // An observer that joins in the middle has not missed anything.
             None => {}
             Some(last) if last.attempt == header.attempt => {
                 if header.tick <= last.tick {
@@ -235,7 +236,7 @@ impl Latency {
                 }
             }
             Some(last) if header.attempt.is_ahead_of(&last.attempt) => {
-                // How far the batch before went on is not known; how this one began is.
+                // How many more ticks the previous batch had is not known, but the beginning of this one is.
                 counts.missed += header.tick;
                 counts.missed_batches +=
                     (header.attempt.batch - last.attempt.batch).saturating_sub(1);
@@ -256,7 +257,7 @@ impl Latency {
         }
     }
 
-    /// Takes a raw command: the way to the controller, and through it.
+    /// Takes a raw command: gives the spans to the controller, and in it.
     pub fn raw_command(&mut self, header: TickHeader) {
         if !header.attempt.is_of(self.run) {
             self.figures.counts.strays += 1;
@@ -266,7 +267,7 @@ impl Latency {
         self.note(Hop::Controller, header.controller_received_ns, header.controller_sent_ns);
     }
 
-    /// Takes a command: the way to the supervisor, and through it.
+    /// Takes a command: gives the spans to the supervisor, and in it.
     pub fn command(&mut self, header: TickHeader) {
         if !header.attempt.is_of(self.run) || header.tick >= IMPLAUSIBLE_TICK {
             self.figures.counts.strays += 1;
@@ -285,7 +286,7 @@ impl Latency {
         }
     }
 
-    /// Learns from the odometry behind a command what became of it.
+    /// Learns from the odometry after a command what became of it.
     fn join(&mut self, command: TickHeader, next: TickHeader) {
         let counts = &mut self.figures.counts;
         if next.odometry_sent_ns != 0 && command.supervisor_sent_ns > next.odometry_sent_ns {
@@ -306,7 +307,7 @@ impl Latency {
     }
 }
 
-/// What lies between two stamps, if they can be believed.
+/// The time between two stamps, if they are plausible.
 fn span(from_ns: u64, to_ns: u64) -> Option<u64> {
     if from_ns == 0 || to_ns == 0 {
         return None;
@@ -314,7 +315,7 @@ fn span(from_ns: u64, to_ns: u64) -> Option<u64> {
     to_ns.checked_sub(from_ns).filter(|ns| *ns <= IMPLAUSIBLE_NS)
 }
 
-fn note(histogram: &mut Histogram<u64>, counts: &mut Counts, span: Option<u64>) {
+fn note(histogram: &mut Histogram<u64>, counts: &mut TickCounts, span: Option<u64>) {
     match span {
         // The histogram begins at 1.
         Some(ns) => histogram.saturating_record(ns.max(1)),
@@ -385,20 +386,20 @@ mod tests {
             }
         }
         assert!((figures.period.value_at_quantile(0.5) as f64 / PERIOD as f64 - 1.0).abs() < 1e-3);
-        assert_eq!(figures.counts, Counts { ticks: 101, ..Counts::default() });
+        assert_eq!(figures.counts, TickCounts { ticks: 101, ..TickCounts::default() });
     }
 
     #[test]
     fn gaps_are_counted_within_a_drive_and_at_its_beginning() {
         let mut latency = Latency::new(RUN, u64::MAX);
-        // Who joins at tick 5 has missed nothing; then 3 ticks are missing.
+        // An observer that joins at tick 5 has not missed anything; then 3 ticks are missing.
         latency.odometry(tick(1, 1, 4).1);
         latency.odometry(tick(1, 1, 8).1);
         assert_eq!(taken(&mut latency).counts.missed, 3);
         // A new attempt, and a new batch, begin with tick 0.
         latency.odometry(first(1, 2));
         latency.odometry(first(2, 1));
-        assert_eq!(taken(&mut latency).counts, Counts { ticks: 2, ..Counts::default() });
+        assert_eq!(taken(&mut latency).counts, TickCounts { ticks: 2, ..TickCounts::default() });
         // Batches 3 to 5 were not seen at all, nor were two ticks of batch 6.
         latency.odometry(tick(6, 1, 1).1);
         let counts = taken(&mut latency).counts;

@@ -1,16 +1,16 @@
-//! The latency monitor: looks into a running pipeline from another terminal, without slowing it.
+//! The latency monitor: observes a running pipeline from another terminal, without slowing it.
 //!
 //! It is one more reader of odometry, raw commands and commands, and computes everything from the stamps that
-//! these carry anyway: nobody in the pipeline does anything for it. [`latency`] is the pure part; [`report`] its
-//! figures as they are put out; the rest reads the bus, writes and draws.
+//! these carry anyway: no process of the pipeline does anything for it. [`latency`] is the pure part; [`report`] has
+//! its figures in the form in which they are output; the rest reads the bus, writes and draws.
 
 pub mod latency;
 mod lines;
+mod observed;
 #[cfg(feature = "prometheus")]
 mod prometheus;
 pub mod report;
 mod view;
-mod watch;
 
 use std::io::{self, IsTerminal};
 use std::net::SocketAddr;
@@ -24,7 +24,7 @@ use config::RunConfig;
 use runtime::clock::now_ns;
 use runtime::run::RunNames;
 
-use crate::watch::Watch;
+use crate::observed::ObservedRun;
 
 /// What a user wants to see.
 #[derive(Debug, Clone)]
@@ -39,20 +39,20 @@ pub struct Options {
     pub json: bool,
     /// One row a second in a file.
     pub csv: Option<PathBuf>,
-    /// How long to look; without end if it is not said.
+    /// How long to watch; without end if it is not given.
     pub duration: Option<Duration>,
-    /// One report over a second, and no more.
+    /// A single report over a second.
     pub once: bool,
-    /// What an end-to-end span may be; the run's tick if it is not said.
+    /// The longest end-to-end span that is no deadline miss; the run's tick if it is not given.
     pub budget: Option<Duration>,
     /// Where Prometheus can fetch the figures.
     pub prometheus: Option<SocketAddr>,
 }
 
-/// Why a run is not looked into.
+/// Why a run cannot be watched.
 #[derive(Debug, thiserror::Error)]
 pub enum MonitorError {
-    /// The user can mend it.
+    /// A user's mistake.
     #[error("{0}")]
     User(String),
     /// Anything else.
@@ -72,17 +72,17 @@ impl From<io::Error> for MonitorError {
     }
 }
 
-/// Between looks at the bus. At 125,000 ticks a second a quarter of an observer's buffer fills meanwhile, so
+/// Time between looks at the bus. At 125,000 ticks a second a quarter of an observer's buffer fills meanwhile, so
 /// that a look that comes late loses nothing yet; and with nothing to read, 500 looks a second cost well under
 /// one percent of a core.
 const POLL: Duration = Duration::from_millis(2);
-/// Between looks at whether the run still lives.
+/// Time between checks whether the run is still alive.
 const LOOK_NS: u64 = 200_000_000;
 const SECOND_NS: u64 = 1_000_000_000;
-/// How much an observer steps back behind those who drive, on a core that it must share with them.
+/// The niceness of an observer, which gives way to the pipeline on a core that it must share with it.
 const NICENESS: i32 = 10;
 
-/// Looks into a run until the user has seen enough or the run ends.
+/// Watches a run until the user ends it or the run ends.
 ///
 /// # Errors
 /// If the run cannot be joined, a file or address cannot be used, or there is no such vehicle.
@@ -94,20 +94,20 @@ pub fn run(options: &Options) -> Result<(), MonitorError> {
         ));
     }
     let stop = Stop::new()?;
-    // Refused only to who has asked for less already.
+    // Refused only if the niceness is higher already.
     let _ = rustix::process::nice(NICENESS);
     let budget_ns = budget_ns(options)?;
-    let mut watch = Watch::attach(&options.names, options.vehicle, budget_ns)?;
+    let mut run = ObservedRun::attach(&options.names, options.vehicle, budget_ns)?;
     let mut publish = Publish::new(options)?;
     let asked_for_lines = options.json || options.csv.is_some() || options.once;
     let ended = if asked_for_lines || !io::stdout().is_terminal() {
-        lines::run(options, &mut watch, &stop, &mut publish)?
+        lines::run(options, &mut run, &stop, &mut publish)?
     } else {
-        view::run(options, &mut watch, &stop, &mut publish)?
+        view::run(options, &mut run, &stop, &mut publish)?
     };
-    drop(watch);
-    if ended == Ended::RunOver {
-        // Whoever has closed standard error does not want to know.
+    drop(run);
+    if ended == StopReason::RunOver {
+        // A user who has closed standard error does not want to know.
         let _ = io::Write::write_fmt(
             &mut io::stderr(),
             format_args!("pathtune: run {:016x} has ended\n", options.names.run),
@@ -130,16 +130,16 @@ fn budget_ns(options: &Options) -> Result<u64, MonitorError> {
     Ok((config.drive.tick_s * 1e9).round() as u64)
 }
 
-/// Why looking has ended.
+/// Why watching has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Ended {
-    /// The user has seen enough.
+enum StopReason {
+    /// The user has ended it.
     Enough,
     /// The run's orchestrator is gone.
     RunOver,
 }
 
-/// Whether a signal asks for the end.
+/// Whether a signal asks the process to end.
 struct Stop(Arc<AtomicBool>);
 
 impl Stop {
@@ -157,14 +157,14 @@ impl Stop {
     }
 }
 
-/// What every way of looking does between two looks at the bus.
-struct Pace {
+/// What every kind of output does between two looks at the bus.
+struct LookTimer {
     began_ns: u64,
     look_ns: u64,
     duration_ns: Option<u64>,
 }
 
-impl Pace {
+impl LookTimer {
     fn new(options: &Options) -> Self {
         let now_ns = now_ns();
         let ns = |duration: Duration| u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX);
@@ -186,10 +186,10 @@ impl Pace {
     }
 }
 
-/// Takes what has come. The bus of a run that ends is gone before its lock is: that is no error.
-fn drain(watch: &mut Watch) -> Result<Option<Ended>, MonitorError> {
-    match watch.drain() {
-        Err(MonitorError::Other(_)) if !watch.is_alive() => Ok(Some(Ended::RunOver)),
+/// Takes what has come. When a run ends, its bus is gone before its lock: that is not an error.
+fn drain(run: &mut ObservedRun) -> Result<Option<StopReason>, MonitorError> {
+    match run.drain() {
+        Err(MonitorError::Other(_)) if !run.is_alive() => Ok(Some(StopReason::RunOver)),
         other => other.map(|()| None),
     }
 }

@@ -1,4 +1,4 @@
-//! Reports as lines: JSON, CSV, or text for people, one a second.
+//! Reports as lines: JSON, CSV, or text for people, one per second.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -6,21 +6,21 @@ use std::path::Path;
 
 use runtime::clock::now_ns;
 
+use crate::observed::ObservedRun;
 use crate::report::Report;
-use crate::watch::Watch;
-use crate::{Ended, MonitorError, Options, POLL, Pace, Publish, SECOND_NS, Stop, drain};
+use crate::{LookTimer, MonitorError, Options, POLL, Publish, SECOND_NS, Stop, StopReason, drain};
 
-/// Puts out a report a second until it is enough.
+/// Outputs a report per second until the end.
 pub(crate) fn run(
     options: &Options,
-    watch: &mut Watch,
+    run: &mut ObservedRun,
     stop: &Stop,
     publish: &mut Publish,
-) -> Result<Ended, MonitorError> {
+) -> Result<StopReason, MonitorError> {
     let mut outputs = Outputs::new(options)?;
-    let mut pace = Pace::new(options);
-    watch.begin_interval();
-    // A single report is of as long as one wants to look.
+    let mut timer = LookTimer::new(options);
+    run.begin_interval();
+    // A single report covers the whole time that the user wants to watch.
     let interval_ns = match options.duration {
         Some(duration) if options.once => duration.as_nanos() as u64,
         _ => SECOND_NS,
@@ -29,21 +29,21 @@ pub(crate) fn run(
     let mut reports = 0u32;
     let mut has_begun = !options.once;
     let ended = loop {
-        let ended = drain(watch)?;
-        if !has_begun && watch.has_seen_ticks() {
-            // And of a time in which something was driven.
+        let ended = drain(run)?;
+        if !has_begun && run.has_seen_ticks() {
+            // It also covers a time in which something was driven.
             has_begun = true;
-            watch.begin_interval();
+            run.begin_interval();
             due_ns = now_ns() + interval_ns;
         }
         if has_begun && now_ns() >= due_ns {
-            let report = watch.report();
+            let report = run.report();
             publish.put(&report);
             reports += 1;
             if !outputs.put(&report)? || options.once {
-                break Ended::Enough;
+                break StopReason::Enough;
             }
-            // Who was frozen for a while does not catch up on lines.
+            // A monitor that was frozen for a while does not catch up on lines.
             while due_ns <= now_ns() {
                 due_ns += SECOND_NS;
             }
@@ -51,23 +51,23 @@ pub(crate) fn run(
         if let Some(ended) = ended {
             break ended;
         }
-        if stop.is_asked_for() || (pace.is_over() && !(options.once && has_begun)) {
-            break Ended::Enough;
+        if stop.is_asked_for() || (timer.is_over() && !(options.once && has_begun)) {
+            break StopReason::Enough;
         }
-        if pace.is_time_to_look() {
-            watch.new_restarts();
-            if !watch.is_alive() {
-                drain(watch)?;
-                break Ended::RunOver;
+        if timer.is_time_to_look() {
+            run.new_restarts();
+            if !run.is_alive() {
+                drain(run)?;
+                break StopReason::RunOver;
             }
         }
         std::thread::sleep(POLL);
     };
-    // Who looks for less than a second is told about less than a second.
-    if reports == 0 && watch.has_seen_ticks() {
-        outputs.put(&watch.report())?;
+    // A user who watches for less than a second gets a report over less than a second.
+    if reports == 0 && run.has_seen_ticks() {
+        outputs.put(&run.report())?;
     } else if outputs.is_text() && reports > 1 {
-        outputs.put_text(&format!("in all\n{}", watch.total().table()))?;
+        outputs.put_text(&format!("in all\n{}", run.total().table()))?;
     }
     Ok(ended)
 }
@@ -95,7 +95,7 @@ impl Outputs {
         !self.json && self.csv.is_none()
     }
 
-    /// Whether somebody still reads.
+    /// Returns whether the output is still being read.
     fn put(&mut self, report: &Report) -> Result<bool, MonitorError> {
         if let Some(csv) = &mut self.csv {
             let (names, values): (Vec<_>, Vec<_>) = report.columns().into_iter().unzip();
@@ -123,7 +123,7 @@ impl Outputs {
         let mut out = io::stdout().lock();
         match writeln!(out, "{text}").and_then(|()| out.flush()) {
             Ok(()) => Ok(true),
-            // Whoever has read may go away.
+            // It is not an error if the reader has gone away.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
             Err(error) => {
                 Err(anyhow::Error::new(error).context("failed to write to standard output").into())

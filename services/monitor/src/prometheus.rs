@@ -1,7 +1,7 @@
 //! The newest report as a page in Prometheus' text format.
 //!
-//! Whoever asks is answered with the page, whatever is asked: one page does not need a web server. Each reader gets
-//! a second, so that none can keep others from it, and all of them are a thread's business, so that none can keep
+//! Every request is answered with the page, whatever it asks for: one page does not need a web server. Each reader gets
+//! a second, so that none can block the others, and a separate thread serves them, so that none can keep
 //! the monitor from the bus.
 
 use std::io::{self, Read, Write};
@@ -13,13 +13,13 @@ use crate::report::Report;
 
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// The page, and the thread that hands it out until the process ends.
+/// The page, and the thread that serves it until the process ends.
 pub(crate) struct Page {
     text: Arc<Mutex<String>>,
 }
 
 impl Page {
-    /// Listens.
+    /// Starts to listen.
     pub(crate) fn open(address: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         let text = Arc::new(Mutex::new(String::new()));
@@ -27,7 +27,7 @@ impl Page {
         std::thread::Builder::new().name("prometheus".to_owned()).spawn(move || {
             for stream in listener.incoming().flatten() {
                 let text = shared.lock().unwrap_or_else(PoisonError::into_inner).clone();
-                // Who does not read does not want it.
+                // It is not an error if the reader does not read.
                 let _ = answer(stream, &text);
             }
         })?;
@@ -43,7 +43,7 @@ impl Page {
 fn answer(mut stream: TcpStream, text: &str) -> io::Result<()> {
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    // What is not read of the request would reset the connection under the answer.
+    // If a part of the request were left unread, the connection would be reset before the answer is received.
     let _ = stream.read(&mut [0; 4096])?;
     write!(
         stream,

@@ -1,24 +1,24 @@
-//! The figures as they are put out: one report for every output.
+//! The figures in the form in which they are output: one report for every kind of output.
 //!
-//! Percentiles, the rate, period and jitter are those of the interval, a second as a rule; counts are those since
-//! the monitor has begun. A percentile of nothing is 0: `n` tells the two apart.
+//! Percentiles, the rate, period and jitter are those of the interval, normally a second; counts are those since
+//! the monitor began. A percentile of nothing is 0: `n` distinguishes it from a real 0.
 
 use hdrhistogram::Histogram;
 
 use serde::Serialize;
 
-use crate::latency::{Counts, Figures, Hop, Latency};
+use crate::latency::{Figures, Hop, Latency, TickCounts};
 
-/// What is put out once a second.
+/// What is output once a second.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Report {
-    /// Since the monitor has begun.
+    /// Time since the monitor began.
     pub t_s: f64,
     /// Ticks seen.
     pub ticks: u64,
-    /// Ticks that were driven and not seen.
+    /// Ticks that were driven but not seen.
     pub missed: u64,
-    /// Ticks a second over the interval, missed ones included: they were driven too.
+    /// Ticks per second over the interval, missed ones included, because they were driven, too.
     pub rate_hz: f64,
     /// The attempt at the batch.
     pub attempt: u32,
@@ -26,11 +26,11 @@ pub struct Report {
     pub deadline_misses: u64,
     /// The hops over the interval.
     pub hops: Hops,
-    /// Spans between the odometries of consecutive ticks, over the interval.
+    /// Spans between the odometry of consecutive ticks, over the interval.
     pub period: Period,
     /// How far the period's 99th percentile lies above its median.
     pub jitter_ns: u64,
-    /// How old the last applied command was: from its sending until it was applied. None before the first one,
+    /// How old the last applied command was: from its sending until it was applied. `None` before the first one,
     /// and while the watched vehicle stands still because its drive has ended.
     pub age_ns: Option<u64>,
     /// The batch.
@@ -41,7 +41,7 @@ pub struct Report {
     pub run: String,
     /// How long the interval was.
     pub interval_s: f64,
-    /// What an end-to-end span may be.
+    /// The longest end-to-end span that is no deadline miss.
     pub budget_ns: u64,
     /// Deadline misses because the vehicle had gone on before the command was sent.
     pub late: u64,
@@ -49,9 +49,9 @@ pub struct Report {
     pub missed_batches: u64,
     /// Spans left out because a stamp was missing, went backwards or made no sense.
     pub implausible: u64,
-    /// Messages that belong to no tick in order.
+    /// Messages that belong to no regular tick.
     pub strays: u64,
-    /// Restarts of all processes since the run has begun.
+    /// Restarts of all processes since the run began.
     pub restarts: u32,
     /// The watched vehicle.
     pub vehicle: Vehicle,
@@ -142,7 +142,7 @@ pub struct Period {
 }
 
 fn quantile(histogram: &Histogram<u64>, quantile: f64) -> u64 {
-    // The upper end of a bucket may lie above everything that was seen.
+    // The upper end of a bucket may lie above every value that was seen.
     histogram.value_at_quantile(quantile).min(histogram.max())
 }
 
@@ -153,17 +153,17 @@ pub struct Vehicle {
     pub slot: usize,
     /// Vehicles in the fleet; 0 before the first command.
     pub fleet: usize,
-    /// The speed that it is told to drive at.
+    /// The speed that it is commanded.
     pub speed_mps: f64,
     /// The speed that the controller wanted.
     pub wanted_speed_mps: f64,
-    /// The steering angle that it is told.
+    /// The steering angle that it is commanded.
     pub steering_rad: f64,
     /// The zone that it is in.
     pub zone: u32,
     /// What the supervisor has changed, and whether the drive has ended.
     pub flags: Vec<&'static str>,
-    /// The gate's state as it was told last; in lockstep it is told when it changes.
+    /// The gate's state as reported last; in lockstep it is reported when it changes.
     pub gate: &'static str,
     /// What is wrong, or was when the vehicle was stopped.
     pub reasons: Vec<&'static str>,
@@ -175,16 +175,16 @@ pub struct Vehicle {
     pub own_stop: bool,
 }
 
-/// Everything of a report that is not in the figures.
+/// Everything in a report that is not in the figures.
 #[derive(Debug, Clone, Default)]
 pub struct Circumstances {
     /// The run's number.
     pub run: u64,
-    /// Since the monitor has begun.
+    /// Time since the monitor began.
     pub t_s: f64,
     /// How long the interval was.
     pub interval_s: f64,
-    /// What an end-to-end span may be.
+    /// The longest end-to-end span that is no deadline miss.
     pub budget_ns: u64,
     /// Restarts of all processes.
     pub restarts: u32,
@@ -194,7 +194,12 @@ pub struct Circumstances {
 
 impl Report {
     /// A report over an interval, with the counts of everything so far.
-    pub fn new(latency: &Latency, interval: &Figures, total: Counts, at: Circumstances) -> Self {
+    pub fn new(
+        latency: &Latency,
+        interval: &Figures,
+        total: TickCounts,
+        at: Circumstances,
+    ) -> Self {
         let newest = latency.newest().unwrap_or_default();
         let driven = interval.counts.ticks + interval.counts.missed;
         let period = Period {
@@ -324,12 +329,12 @@ impl Report {
     }
 }
 
-/// To a thousandth: more is not known of a clock that is read between other things.
+/// Rounds to a thousandth: a clock that is read between other work is not more exact.
 fn rounded(value: f64) -> f64 {
     (value * 1e3).round() / 1e3
 }
 
-/// A span with a unit that keeps it short.
+/// A span with the unit that keeps it short.
 pub fn human(ns: u64) -> String {
     match ns {
         0..1_000 => format!("{ns} ns"),

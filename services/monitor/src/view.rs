@@ -13,53 +13,53 @@ use ratatui::widgets::{Block, Cell, Paragraph, Row, Sparkline, Table};
 use ratatui::{DefaultTerminal, Frame};
 use runtime::clock::now_ns;
 
+use crate::observed::ObservedRun;
 use crate::report::{Report, human};
-use crate::watch::Watch;
-use crate::{Ended, MonitorError, Options, POLL, Pace, Publish, SECOND_NS, Stop, drain};
+use crate::{LookTimer, MonitorError, Options, POLL, Publish, SECOND_NS, Stop, StopReason, drain};
 
-/// Between pictures.
+/// Time between pictures.
 const REFRESH_NS: u64 = SECOND_NS / 2;
-/// Between looks for keys.
+/// Time between looks for keys.
 const KEYS_NS: u64 = 20_000_000;
 /// Points of the sparkline that are kept: a wide terminal's worth.
 const POINTS: usize = 400;
 /// Events that are kept.
 const EVENTS: usize = 50;
 
-/// Draws until it is enough.
+/// Draws until the end.
 pub(crate) fn run(
     options: &Options,
-    watch: &mut Watch,
+    run: &mut ObservedRun,
     stop: &Stop,
     publish: &mut Publish,
-) -> Result<Ended, MonitorError> {
+) -> Result<StopReason, MonitorError> {
     let mut screen = Screen::open()?;
     let mut view = View::default();
-    let mut pace = Pace::new(options);
-    watch.begin_interval();
-    // There is something to be seen at once, but figures only when some time has passed.
+    let mut timer = LookTimer::new(options);
+    run.begin_interval();
+    // Something is shown at once, but there are figures only after some time.
     screen.draw(&view)?;
     let (mut draw_ns, mut keys_ns, mut publish_ns) = (now_ns() + REFRESH_NS, now_ns(), now_ns());
     loop {
-        if let Some(ended) = drain(watch)? {
+        if let Some(ended) = drain(run)? {
             return Ok(ended);
         }
-        if stop.is_asked_for() || pace.is_over() {
-            return Ok(Ended::Enough);
+        if stop.is_asked_for() || timer.is_over() {
+            return Ok(StopReason::Enough);
         }
-        view.note_drive(watch);
-        if pace.is_time_to_look() {
-            for event in watch.new_restarts() {
-                view.live.tell(watch.age_s(), event);
+        view.note_drive(run);
+        if timer.is_time_to_look() {
+            for event in run.new_restarts() {
+                view.live.tell(run.age_s(), event);
             }
-            if !watch.is_alive() {
-                return Ok(Ended::RunOver);
+            if !run.is_alive() {
+                return Ok(StopReason::RunOver);
             }
         }
         let now_ns = now_ns();
         if now_ns >= draw_ns {
             draw_ns = now_ns + REFRESH_NS;
-            view.note(watch.report(), watch.total());
+            view.note(run.report(), run.total());
             if now_ns >= publish_ns {
                 publish_ns = now_ns + SECOND_NS;
                 publish.put(&view.live.interval);
@@ -71,12 +71,12 @@ pub(crate) fn run(
             while event::poll(Duration::ZERO)? {
                 match event::read()? {
                     Event::Key(key) if key.kind != KeyEventKind::Release => match meaning(key) {
-                        Some(Key::Quit) => return Ok(Ended::Enough),
+                        Some(Key::Quit) => return Ok(StopReason::Enough),
                         Some(Key::Reset) => {
-                            watch.reset();
+                            run.reset();
                             view.reset();
                             draw_ns = now_ns + REFRESH_NS;
-                            view.live.total = watch.total();
+                            view.live.total = run.total();
                             screen.draw(&view)?;
                         }
                         Some(Key::Freeze) => {
@@ -94,13 +94,13 @@ pub(crate) fn run(
     }
 }
 
-/// The terminal, given back as it was whatever happens: at the end of the view, on errors, on panics.
+/// The terminal, which is restored in any case: at the end of the view, on errors and on panics.
 struct Screen(DefaultTerminal);
 
 impl Screen {
     fn open() -> Result<Self, MonitorError> {
         ratatui::try_init().map(Self).map_err(|error| {
-            // It may have got half way.
+            // It may have failed half way.
             let _ = ratatui::try_restore();
             MonitorError::User(format!("failed to draw on this terminal: {error}; use --json"))
         })
@@ -159,7 +159,7 @@ impl Picture {
 #[derive(Debug, Default)]
 struct View {
     live: Picture,
-    /// The picture that stands still, if one does.
+    /// The frozen picture, if the view is frozen.
     frozen: Option<Picture>,
     drive: Option<Attempt>,
 }
@@ -175,9 +175,9 @@ impl View {
         self.live.total = total;
     }
 
-    /// Notes that a batch is driven anew.
-    fn note_drive(&mut self, watch: &Watch) {
-        let drive = watch.drive();
+    /// Notes that a batch is driven again.
+    fn note_drive(&mut self, run: &ObservedRun) {
+        let drive = run.drive();
         if drive == self.drive {
             return;
         }
@@ -185,7 +185,7 @@ impl View {
         if let Some(Attempt { batch, attempt, .. }) = drive
             && attempt > 1
         {
-            self.live.tell(watch.age_s(), format!("batch {batch}: attempt {attempt}"));
+            self.live.tell(run.age_s(), format!("batch {batch}: attempt {attempt}"));
         }
     }
 

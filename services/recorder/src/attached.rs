@@ -1,5 +1,5 @@
-//! The recorder from another terminal: an observer of a run that is under way. It disturbs nobody, and may miss
-//! something; what it has missed is counted.
+//! The recorder from another terminal: an observer of a run that is under way. It does not disturb the run, and may
+//! miss messages; what it has missed is counted.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,21 +18,21 @@ use crate::listener::{Listener, Look};
 use crate::service::{STEM, settings};
 use crate::tape::{Files, Tape};
 
-/// Between two looks in vain: an observer's buffer holds more than what comes meanwhile.
+/// Time between two looks when nothing comes: an observer's buffer holds more than arrives meanwhile.
 const NAP: Duration = Duration::from_micros(500);
-/// Between two looks whether the run still lives.
+/// Time between two checks whether the run is still alive.
 const LIFE_EVERY: Duration = Duration::from_millis(200);
 
-/// What is to be recorded, and for how long.
+/// What to record, and for how long.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The run.
     pub names: RunNames,
     /// Its output folder.
     pub folder: PathBuf,
-    /// The file; a new one in the run's folder where there is none.
+    /// The file; a new one in the run's folder if none is given.
     pub out: Option<PathBuf>,
-    /// How long; else until the run ends, or a signal comes.
+    /// How long to record; by default until the run ends, or a signal comes.
     pub time: Option<Duration>,
     /// Size at which the next file begins.
     pub split_bytes: Option<u64>,

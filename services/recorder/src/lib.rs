@@ -1,13 +1,13 @@
-//! The recorder: writes down whatever is said in a run, in one MCAP file.
+//! The recorder: writes all messages of a run to an MCAP file.
 //!
 //! Every topic has a channel `/pathtune/<topic>` with the bytes of its messages, header and elements, as they were
-//! in shared memory; beside them stand ROS 2 messages made of them, which tools such as Foxglove and PlotJuggler
+//! in shared memory. In addition there are ROS 2 messages made from them, which tools such as Foxglove and PlotJuggler
 //! show without set-up. See [`ros`] for their topics, [`timeline`] for their stamps.
 //!
 //! As a process of the pipeline ([`service`]) it loses nothing: a vehicle in lockstep waits for its credit. From
-//! another terminal ([`attached`]) it is an observer, and says what it has missed.
+//! another terminal ([`attached`]) it is an observer, and reports what it has missed.
 //!
-//! What was written is in chunks of about 1 MiB, closed at least once a second: a file that was cut off can be read
+//! The file consists of chunks of about 1 MiB, closed at least once a second: a file that was cut off can be read
 //! up to its last closed chunk.
 
 pub mod attached;

@@ -1,4 +1,4 @@
-//! Hears all topics, counts what was missed, and hands everything to the tape.
+//! Listens to all topics, counts what was missed, and hands everything to the tape.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -14,14 +14,14 @@ use crate::progress::{Heard, Reported, TickProgress};
 use crate::tape::Tape;
 use crate::topics::{Sample, Tap, index_of, tap_all, topics};
 
-/// Messages of a topic that one look takes at most.
+/// The largest number of messages of a topic that one look takes.
 const AT_ONCE: usize = 64;
 /// A block is handed over at this size, so that what waits for the disk stays small.
 const BLOCK_BYTES: usize = 1 << 20;
-/// Between two tries to hand a block to a thread that is behind.
+/// Time between two attempts to hand a block to a thread that cannot keep up.
 const BEHIND_NAP: Duration = Duration::from_micros(200);
 
-/// What one look has brought.
+/// The result of one look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Look {
     /// Nothing.
@@ -30,20 +30,20 @@ pub(crate) enum Look {
     Some,
     /// Messages, and all that there were.
     All,
-    /// The disk is behind: nothing was taken.
+    /// The disk cannot keep up: nothing was taken.
     Behind,
 }
 
-/// All ears, and the tape.
+/// The inlets of all topics, and the tape.
 pub(crate) struct Listener {
     taps: Vec<Box<dyn Tap>>,
     tape: Tape,
     block: Vec<Sample>,
-    /// By topic: those that are sent once a tick.
+    /// Progress by topic, for those that are sent once a tick.
     ticks: BTreeMap<usize, TickProgress>,
     others: BTreeMap<usize, Heard>,
     reported: Reported,
-    /// The request that was heard last.
+    /// The request that was received last.
     pub(crate) requested: Option<Place>,
     behind: Duration,
     requests: usize,
@@ -106,7 +106,7 @@ impl Listener {
             }
         }
         if is_all {
-            // A report is sent before anything of the next batch: it was heard by now.
+            // A report is sent before anything of the next batch: it has been received by now.
             for ticks in self.ticks.values_mut() {
                 ticks.settle(self.reported.all());
             }
@@ -118,7 +118,7 @@ impl Listener {
         Ok(if is_all { Look::All } else { Look::Some })
     }
 
-    /// Hands over what was taken; whether the tape took it.
+    /// Hands over what was taken; returns whether the tape accepted it.
     fn hand_over(&mut self) -> Result<bool> {
         if self.block.is_empty() {
             return Ok(true);
@@ -133,15 +133,15 @@ impl Listener {
         Ok(false)
     }
 
-    /// Ticks of an attempt that were heard on every topic of the ring.
+    /// How many ticks of an attempt were received on every topic of the ring.
     pub(crate) fn ticks_of(&self, attempt: Attempt) -> u64 {
         let of = |topic: &usize| self.ticks.get(topic).map_or(0, |it| it.ticks_of(attempt));
         self.ring.iter().map(of).min().unwrap_or_default()
     }
 
-    /// Hears what is left, ends the file, and tells what was missed.
+    /// Receives what is left, ends the file, and reports what was missed.
     pub(crate) fn finish(mut self, digest: Option<String>) -> Result<Summary> {
-        // What had come by now fits into a buffer; of a run that goes on, more comes for ever.
+        // What has come by now fits into a buffer; if the run goes on, more would come for ever.
         let mut looks = 0;
         while looks <= OBSERVER_BUFFER / AT_ONCE {
             match self.listen()? {
@@ -171,29 +171,29 @@ fn longest(mut bytes: &[u8]) -> u64 {
     reports.map(|report| report.ticks).max().unwrap_or_default()
 }
 
-/// What a recording has come to.
+/// The summary of a recording.
 #[derive(Debug, Clone, Default)]
 pub struct Summary {
     /// The file that was written last.
     pub file: std::path::PathBuf,
-    /// What was heard and missed, by topic.
+    /// What was received and missed, by topic.
     pub heard: BTreeMap<String, Heard>,
-    /// How long the disk was so far behind that nothing could be taken.
+    /// How long nothing could be taken because the disk could not keep up.
     pub behind: Duration,
 }
 
 impl Summary {
-    /// Messages that were missed, of all topics.
+    /// Number of missed messages, over all topics.
     pub fn missed(&self) -> u64 {
         self.heard.values().map(|heard| heard.missed).sum()
     }
 
-    /// Messages that were written, of all topics.
+    /// Number of written messages, over all topics.
     pub fn messages(&self) -> u64 {
         self.heard.values().map(|heard| heard.messages).sum()
     }
 
-    /// What was missed, in words; nothing if nothing was.
+    /// What was missed, in words; `None` if nothing was.
     pub fn gaps(&self) -> Option<String> {
         let missed: Vec<String> = self
             .heard

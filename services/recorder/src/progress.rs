@@ -1,4 +1,4 @@
-//! What was heard of each topic, and what was missed: a gap is counted, never silent.
+//! What was received on each topic, and what was missed: every gap is counted.
 
 use std::collections::BTreeMap;
 
@@ -7,31 +7,31 @@ use serde::{Deserialize, Serialize};
 
 use crate::Place;
 
-/// Attempts whose length is remembered: an observer that is late may hear so many reports before their ticks.
+/// How many attempts' lengths are remembered: an observer that is late may receive as many reports before their ticks.
 const REMEMBERED: usize = 4096;
 
-/// What was heard and missed of one topic.
+/// What was received and missed on one topic.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Heard {
     /// Messages that were written.
     pub messages: u64,
-    /// Messages of ticks that are known to have been, and were not heard.
+    /// Messages of ticks that are known to exist, but were not received.
     pub missed: u64,
 }
 
-/// How far the recorder has heard one topic that is sent once a tick.
+/// How far the recorder has followed one topic that is sent once a tick.
 #[derive(Debug, Default)]
 pub(crate) struct TickProgress {
     attempt: Attempt,
     next_tick: u64,
-    /// Attempts that this topic has left, with the ticks that it had seen and the attempt that it went on with:
-    /// compared with the reports of what lies between.
+    /// Attempts that this topic has finished, with the number of ticks that it had seen and the attempt that followed:
+    /// they are compared with the reports of the attempts in between.
     left: Vec<(Attempt, u64, Attempt)>,
     heard: Heard,
 }
 
 impl TickProgress {
-    /// Ticks of an attempt that were heard.
+    /// How many ticks of an attempt were received.
     pub(crate) fn ticks_of(&self, attempt: Attempt) -> u64 {
         if self.attempt == attempt { self.next_tick } else { 0 }
     }
@@ -41,7 +41,7 @@ impl TickProgress {
         let tick = place.tick.unwrap_or_default();
         self.heard.messages += 1;
         if self.heard.messages == 1 {
-            // Who comes late has not missed what was before.
+            // A recorder that joins late has not missed what came before.
             (self.attempt, self.next_tick) = (place.attempt, tick);
         } else if place.attempt != self.attempt {
             self.left.push((self.attempt, self.next_tick, place.attempt));
@@ -51,10 +51,10 @@ impl TickProgress {
         self.next_tick = self.next_tick.max(tick + 1);
     }
 
-    /// Compares what was left with what was reported.
+    /// Compares finished attempts with what was reported.
     pub(crate) fn settle(&mut self, reported: &BTreeMap<Attempt, u64>) {
         for (attempt, ticks, next) in self.left.drain(..) {
-            // An attempt without a report was broken: its length is nobody's business.
+            // An attempt without a report was broken off: its length does not matter.
             for (reported, all) in reported.range(attempt..next.max(attempt)) {
                 let seen = if *reported == attempt { ticks } else { 0 };
                 self.heard.missed += all.saturating_sub(seen);
@@ -62,12 +62,12 @@ impl TickProgress {
         }
     }
 
-    /// What was heard in all.
+    /// What was received in all.
     pub(crate) fn heard(&self) -> &Heard {
         &self.heard
     }
 
-    /// Leaves the last attempt too.
+    /// Finishes the last attempt, too.
     pub(crate) fn end(&mut self, reported: &BTreeMap<Attempt, u64>) {
         if self.heard.messages > 0 {
             let last = Attempt { batch: u64::MAX, ..self.attempt };

@@ -1,4 +1,4 @@
-//! Reads a recording back: what is ours in it.
+//! Reads back our part of a recording.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,12 +9,12 @@ use mcap::records::Record;
 
 pub use crate::tape::{BEGINNING, END};
 
-/// What is ours in a recording.
+/// Our part of a recording.
 #[derive(Debug, Default)]
 pub struct Recording {
     /// The metadata at its beginning.
     pub beginning: BTreeMap<String, String>,
-    /// The metadata at its end; none of a file that was cut off.
+    /// The metadata at its end; `None` if the file was cut off.
     pub end: Option<BTreeMap<String, String>>,
     /// The attached files, by name.
     pub attachments: BTreeMap<String, Vec<u8>>,
@@ -39,19 +39,20 @@ impl Recording {
     /// Reads a file, as far as it goes.
     ///
     /// # Errors
-    /// If it cannot be read at all, or is no MCAP file.
+    /// If it cannot be read at all, or is not an MCAP file.
     pub fn read(path: &Path) -> Result<Self> {
         Self::read_only(path, |_| true)
     }
 
-    /// As [`Recording::read`], with the messages of some channels alone.
+    /// As [`Recording::read`], with only the messages of some channels.
     ///
     /// # Errors
     /// As [`Recording::read`].
     pub fn read_only(path: &Path, wanted: impl Fn(&str) -> bool) -> Result<Self> {
         let bytes =
             std::fs::read(path).with_context(|| format!("failed to read {}", path.display()))?;
-        Self::parse(&bytes, wanted).with_context(|| format!("{} is no recording", path.display()))
+        Self::parse(&bytes, wanted)
+            .with_context(|| format!("{} is not a recording", path.display()))
     }
 
     fn parse(bytes: &[u8], wanted: impl Fn(&str) -> bool) -> Result<Self> {
@@ -102,7 +103,7 @@ impl Recording {
         Ok(recording)
     }
 
-    /// The messages of a topic of ours.
+    /// The messages of one of our topics.
     pub fn of<'a>(&'a self, topic: &'a str) -> impl Iterator<Item = &'a Message> {
         self.messages.iter().filter(move |it| it.topic.strip_prefix("/pathtune/") == Some(topic))
     }

@@ -10,7 +10,7 @@
 //! | `/diagnostics` | `diagnostic_msgs/msg/DiagnosticArray` | starts and ends of batches and attempts, what the gate changed |
 //!
 //! Poses are those of the tracked point (`tracked_point`) in the map frame (`map`). A vehicle whose drive has ended
-//! is not told any more. Stamps are those of the [timeline](crate::timeline).
+//! does not appear any more. Stamps are those of the [timeline](crate::timeline).
 
 use byteorder::LittleEndian;
 use ipc_types::layout::Bytes;
@@ -20,7 +20,7 @@ use ipc_types::{
 };
 use serde::Serialize;
 
-/// Slots of a fleet that are told as ROS messages; all of them are in the channels of our own.
+/// How many slots of a fleet are written as ROS messages; our own channels contain all slots.
 pub const SLOTS: usize = 8;
 
 /// A message for one of the ROS channels.
@@ -92,7 +92,7 @@ struct RosPose {
     orientation: Quaternion,
 }
 
-/// 36 numbers: a covariance that nobody knows is 0.
+/// 36 numbers: an unknown covariance is 0.
 type Covariance = [[f64; 6]; 6];
 
 #[derive(Serialize)]
@@ -155,7 +155,7 @@ fn header(stamp_ns: u64) -> Header {
 }
 
 fn cdr(message: &impl Serialize) -> Vec<u8> {
-    // Four bytes say: plain CDR, little endian.
+    // These four bytes mean plain CDR, little endian.
     let mut bytes = vec![0, 1, 0, 0];
     let body = cdr_encoding::to_vec::<_, LittleEndian>(message);
     bytes.extend(body.expect("our own structs can be serialized"));
@@ -184,7 +184,7 @@ fn odometry(stamp_ns: u64, pose: WirePose, odometry: &Odometry) -> Vec<u8> {
     })
 }
 
-/// What of the past a ROS message depends on.
+/// The earlier messages on which a ROS message depends.
 #[derive(Debug, Default)]
 pub(crate) struct Teller {
     ended: [bool; SLOTS],
@@ -192,7 +192,7 @@ pub(crate) struct Teller {
 }
 
 impl Teller {
-    /// The ROS messages that a message of ours makes; `topic` is its name.
+    /// The ROS messages that are made from a message of ours; `topic` is its topic's name.
     pub(crate) fn tell(&mut self, topic: &str, bytes: &[u8], stamp_ns: u64) -> Vec<RosMessage> {
         match topic {
             "odometry" => self.tell_odometry(bytes, stamp_ns),
@@ -292,7 +292,7 @@ impl Teller {
     }
 }
 
-/// What stands before a topic of a slot.
+/// The prefix of a slot's topics.
 fn prefix(slot: usize) -> String {
     if slot == 0 { String::new() } else { format!("/vehicle_{slot}") }
 }
@@ -335,7 +335,7 @@ fn diagnostic(
     RosMessage { topic: "/diagnostics".to_owned(), kind: Kind::DiagnosticArray, cdr: cdr(&array) }
 }
 
-/// Header and at most so many elements.
+/// The header and at most `at_most` elements.
 fn parse<H: Bytes, M: Bytes>(mut bytes: &[u8], at_most: usize) -> Option<(H, Vec<M>)> {
     let header = H::take(&mut bytes)?;
     let mut all = Vec::new();
@@ -357,7 +357,7 @@ mod tests {
         let number = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
         assert_eq!(bytes[4..8], 12i32.to_le_bytes());
         assert_eq!(bytes[8..12], 345_678_901u32.to_le_bytes());
-        // "map" with its length and a closing 0, "tracked_point" likewise, then to a multiple of 8 behind the
+        // "map" with its length and a closing 0, "tracked_point" likewise, then padding to a multiple of 8 after the
         // four bytes of encapsulation.
         assert_eq!(&bytes[12..20], b"\x04\0\0\0map\0");
         assert_eq!(&bytes[20..38], b"\x0e\0\0\0tracked_point\0");

@@ -1,8 +1,8 @@
-//! The recorder's process: it hears the run from its first tick on, and loses nothing.
+//! The recorder's process: it records the run from its first tick on, and loses nothing.
 //!
-//! A vehicle in lockstep waits for its credit. The first one of a batch is granted only when everything before it
-//! was heard, so that what is under way always fits into an observer's buffer. A recorder that was restarted goes on
-//! in another file, whose metadata says so.
+//! A vehicle in lockstep waits for its credit. The first credit of a batch is granted only when everything before the
+//! batch has been received, so that what is under way always fits into an observer's buffer. A recorder that was
+//! restarted goes on in another file, whose metadata says so.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -22,7 +22,7 @@ use crate::tape::{Files, Settings, Tape, name_of};
 
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
-/// Name of a run's recording, without number and ending.
+/// Name of a run's recording, without number and extension.
 pub(crate) const STEM: &str = "recording";
 /// Files of a run's folder that are attached to its recording.
 const ATTACHED: [&str; 3] = ["config.toml", "launch.toml", "sweep.toml"];
@@ -38,7 +38,7 @@ pub fn run() -> Result<()> {
     if let Some(before) = &before {
         tracing::warn!(
             before,
-            "goes on in another file; what the one before has not closed is lost"
+            "continues in another file; unclosed chunks of the previous file are lost"
         );
     }
     let tape = Tape::start(settings(
@@ -60,13 +60,13 @@ pub fn run() -> Result<()> {
         tracing::warn!("the recording has gaps: {gaps}");
     }
     if !summary.behind.is_zero() {
-        tracing::warn!(behind = ?summary.behind, "could not keep up: a vehicle in lockstep has waited so long");
+        tracing::warn!(behind = ?summary.behind, "could not keep up; a vehicle in lockstep waited for this long");
     }
     tracing::info!(file = %summary.file.display(), messages = summary.messages(), "recorded");
     Ok(())
 }
 
-/// What a recording's files have in common.
+/// What the files of a recording have in common.
 pub(crate) fn settings(
     files: Files,
     folder: &Path,
@@ -93,7 +93,7 @@ pub(crate) fn settings(
     Settings { files, tick_s: config.drive.tick_s, beginning, attachments }
 }
 
-/// What the launch file says of the size of files.
+/// The size of files according to the launch file.
 fn split_bytes(folder: &Path) -> Result<Option<u64>> {
     let path = folder.join("launch.toml");
     let text = fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
@@ -101,7 +101,7 @@ fn split_bytes(folder: &Path) -> Result<Option<u64>> {
     Ok(launch.process.iter().find(|it| it.role == Role::Recorder).and_then(|it| it.split_bytes))
 }
 
-/// The digest of a run that has come to its end: the recorder stops last, when the outcome is written.
+/// The digest of a run that has ended: the recorder stops last, when the outcome is written.
 fn digest(attachment: &Attachment) -> Option<String> {
     let bytes = fs::read(attachment.folder.join("outcome.json")).ok()?;
     let outcome: Value = serde_json::from_slice(&bytes).ok()?;
@@ -113,7 +113,7 @@ struct Recorder {
     credits: Outlet<Credit>,
     /// The attempt that was requested last.
     attempt: Attempt,
-    /// Ticks that were granted for it; none before the first grant.
+    /// How many ticks were granted for it; `None` before the first grant.
     granted: Option<u64>,
 }
 

@@ -1,5 +1,5 @@
-//! The file: channels, chunks, rotation. Written by a thread of its own, because a disk may take its time, and the
-//! recorder has to show signs of life meanwhile.
+//! The file: channels, chunks, rotation. A separate thread writes it, because a disk may be slow, and the
+//! recorder has to give signs of life meanwhile.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File, OpenOptions};
@@ -23,18 +23,18 @@ pub const END: &str = "pathtune.end";
 
 /// A chunk is closed at this size, before compression.
 const CHUNK_BYTES: u64 = 1 << 20;
-/// A chunk is closed at this age: what a `kill -9` may cost, and a little for the disk.
+/// A chunk is closed at this age: a `kill -9` may cost that much, and a little more for the disk.
 const CHUNK_AGE: Duration = Duration::from_millis(800);
-/// Blocks of samples that wait for the disk.
+/// How many blocks of samples may wait for the disk.
 const QUEUE: usize = 32;
 
-/// What a file is to be.
+/// The settings of a recording's files.
 #[derive(Debug, Clone)]
 pub(crate) struct Settings {
     /// The first file; further ones are numbered.
     pub(crate) files: Files,
     pub(crate) tick_s: f64,
-    /// What stands in the metadata at the beginning of each file.
+    /// The metadata at the beginning of each file.
     pub(crate) beginning: BTreeMap<String, String>,
     /// Files that are attached to each file: their names and contents.
     pub(crate) attachments: Vec<(String, Vec<u8>)>,
@@ -43,16 +43,16 @@ pub(crate) struct Settings {
 /// The names of a recording's files.
 #[derive(Debug, Clone)]
 pub(crate) struct Files {
-    /// The name without number and ending.
+    /// The name without number and extension.
     stem: PathBuf,
     /// Size at which the next file begins.
     split_bytes: Option<u64>,
-    /// Number of the file that is written, counted from 1.
+    /// Number of the file that is being written, counted from 1.
     pub(crate) number: u32,
 }
 
 impl Files {
-    /// The files that begin with the first one that is not there yet.
+    /// The files beginning with the first one that does not exist yet.
     pub(crate) fn first_free(stem: PathBuf, split_bytes: Option<u64>) -> Self {
         let mut files = Self { stem, split_bytes, number: 1 };
         while files.path().exists() {
@@ -61,7 +61,7 @@ impl Files {
         files
     }
 
-    /// The file that is written.
+    /// The file that is being written.
     pub(crate) fn path(&self) -> PathBuf {
         self.path_of(self.number)
     }
@@ -96,18 +96,18 @@ impl Tape {
     /// Starts a recording.
     ///
     /// # Errors
-    /// If its file cannot be made.
+    /// If its file cannot be created.
     pub(crate) fn start(settings: Settings) -> Result<Self> {
         let reel = Reel::new(settings)?;
         let (blocks, incoming) = sync_channel(QUEUE);
         let thread = std::thread::Builder::new()
             .name("tape".to_owned())
             .spawn(move || reel.run(&incoming))
-            .context("failed to start the thread that writes")?;
+            .context("failed to start the writing thread")?;
         Ok(Self { blocks: Some(blocks), thread: Some(thread) })
     }
 
-    /// Hands samples over, if the thread is not too far behind; gives them back if it is.
+    /// Hands samples over, unless the thread is too far behind; then it returns them.
     ///
     /// # Errors
     /// If the file could not be written.
@@ -118,7 +118,7 @@ impl Tape {
             Err(TrySendError::Full(block)) => Ok(Some(block)),
             Err(TrySendError::Disconnected(_)) => {
                 self.join()?;
-                Err(anyhow!("the recording has ended by itself"))
+                Err(anyhow!("the recording has ended unexpectedly"))
             }
         }
     }
@@ -126,20 +126,20 @@ impl Tape {
     fn join(&mut self) -> Result<Option<Reel>> {
         self.blocks = None;
         let Some(thread) = self.thread.take() else { return Ok(None) };
-        thread.join().map_err(|_| anyhow!("the thread that writes has panicked"))?.map(Some)
+        thread.join().map_err(|_| anyhow!("the writing thread has panicked"))?.map(Some)
     }
 
-    /// Writes the rest, and ends the file in order; names it.
+    /// Writes the rest, and ends the file in order; returns its name.
     pub(crate) fn finish(
         mut self,
         rest: Vec<Sample>,
         end: BTreeMap<String, String>,
     ) -> Result<PathBuf> {
         if let Some(blocks) = &self.blocks {
-            // The thread may have failed, which the join tells.
+            // The thread may have failed, which the join reports.
             let _ = blocks.send(rest);
         }
-        let mut reel = self.join()?.ok_or_else(|| anyhow!("the recording was ended already"))?;
+        let mut reel = self.join()?.ok_or_else(|| anyhow!("the recording has ended already"))?;
         reel.close(end)?;
         Ok(reel.settings.files.path())
     }
@@ -158,7 +158,7 @@ struct Reel {
     ros: HashMap<String, (u16, u32)>,
     /// When the open chunk was begun.
     chunk_since: Instant,
-    /// Bytes since the size of the file was looked at.
+    /// Bytes written since the size of the file was last checked.
     unlooked: u64,
 }
 
@@ -182,7 +182,7 @@ impl Reel {
         Ok(reel)
     }
 
-    /// What each file begins with: whoever has only this one knows what it is of.
+    /// Writes the beginning of each file, so that each file by itself shows where it comes from.
     fn begin(&mut self) -> Result<()> {
         let mut metadata = self.settings.beginning.clone();
         metadata.insert("file".to_owned(), self.settings.files.number.to_string());
@@ -202,7 +202,7 @@ impl Reel {
         self.own.clear();
         self.ros.clear();
         for topic in &self.topics {
-            // Readers of ROS recordings stumble over schemas of another encoding: ours stands in the channel.
+            // Readers of ROS recordings fail on schemas of another encoding: ours is in the channel's metadata.
             let metadata = BTreeMap::from([
                 ("element".to_owned(), topic.element.to_owned()),
                 ("header".to_owned(), topic.header.to_owned()),
@@ -317,11 +317,11 @@ fn open(settings: &Settings) -> Result<(Writer<File>, File)> {
     let file = OpenOptions::new().write(true).create_new(true).open(&path).with_context(failed)?;
     let writer = WriteOptions::new()
         .compression(Some(Compression::Zstd))
-        // In the thread that writes: chunks are small.
+        // Compressed in the writing thread: chunks are small.
         .compression_threads(0)
         .compression_level(1)
         .chunk_size(Some(CHUNK_BYTES))
-        // A chunk is then written in one go: a file that is cut off ends with a whole one.
+        // So a chunk is written in one go: a file that is cut off ends with a complete chunk.
         .disable_seeking(true)
         .profile("ros2")
         .library(concat!("pathtune ", env!("CARGO_PKG_VERSION")))

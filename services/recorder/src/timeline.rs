@@ -1,10 +1,10 @@
 //! Vehicle time laid end to end: the stamps of a recording.
 //!
-//! In lockstep a drive of 70 s takes a fraction of a second, and clocks tell nothing of it. The time of a recording is
-//! therefore that of the vehicles: tick k of an attempt lies k ticks behind the attempt's start, and an attempt
-//! starts where the one before it has ended. What is sent between ticks bears the time at which it came. All
-//! channels share this time (`log_time`); when a message really was sent stands in its own bytes, and as the
-//! `publish_time` of the channels of our own.
+//! In lockstep a drive of 70 s takes a fraction of a second, and the clock says nothing about it. The time of a
+//! recording is therefore that of the vehicles: tick k of an attempt is k ticks after the attempt's start, and an
+//! attempt starts where the previous one has ended. Messages between ticks have the time at which they came. All
+//! channels share this time (`log_time`). When a message was really sent is in its own bytes, and is also the
+//! `publish_time` of our own channels.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use ipc_types::Attempt;
 
 use crate::Place;
 
-/// Attempts whose start is remembered: messages of different topics overtake each other, by no more than this.
+/// How many attempts' starts are remembered: messages of different topics overtake each other by no more than this.
 const REMEMBERED: usize = 4;
 
 /// Vehicle time laid end to end over the attempts of a run.
@@ -24,7 +24,7 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    /// The time of a run whose ticks are so long, before its first.
+    /// The timeline of a run whose ticks last `tick_s`, before its first tick.
     pub fn new(tick_s: f64) -> Self {
         Self { tick_ns: (tick_s * 1e9).round() as u64, starts: BTreeMap::new(), end_ns: 0 }
     }
@@ -58,7 +58,7 @@ mod tests {
         assert_eq!(stamp((1, 1), Some(0)), 0);
         assert_eq!(stamp((1, 1), Some(1)), 10_000_000);
         assert_eq!(stamp((1, 2), Some(0)), 20_000_000);
-        // What answers the attempt before comes a little later.
+        // Messages that answer the previous attempt come a little later.
         assert_eq!(stamp((1, 1), Some(1)), 10_000_000);
         assert_eq!(stamp((2, 1), Some(0)), 30_000_000);
         assert_eq!(stamp((0, 0), None), 40_000_000);

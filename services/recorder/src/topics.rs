@@ -1,4 +1,4 @@
-//! The topics of a run as a recording has them: bytes, and the tables that say what they mean.
+//! The topics of a run in a recording: bytes, and the tables that say what they mean.
 
 use anyhow::Result;
 use ipc_types::layout::{Bytes, Layout, Number, numbers};
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 pub struct Place {
     /// The attempt that it belongs to.
     pub attempt: Attempt,
-    /// The tick, of the topics that are sent once a tick.
+    /// The tick, for topics that are sent once a tick.
     pub tick: Option<u64>,
     /// When it was sent.
     pub sent_ns: u64,
@@ -40,7 +40,7 @@ impl Placed for BatchHeader {
     }
 }
 
-/// A topic as a recording has it.
+/// A topic in a recording.
 #[derive(Debug, Clone)]
 pub struct TopicInfo {
     /// Its name on the bus; `/pathtune/NAME` is its channel.
@@ -88,8 +88,8 @@ fn table<T: Layout>(bytes: usize) -> Value {
     json!({ "type": T::TYPE_NAME, "bytes": bytes, "fields": fields::<T>() })
 }
 
-/// A message's numbers with their offsets in the whole. A message inside a message is spread out, its names behind a dot,
-/// and so is an array, with an index behind its name.
+/// A message's numbers with their offsets in the whole message. A message inside a message is flattened, its names
+/// after a dot, and so is an array, with an index after its name.
 fn fields<T: Layout>() -> Vec<Value> {
     let tell = |Number { name, kind, offset, bytes }| json!({ "name": name, "kind": kind, "offset": offset, "bytes": bytes });
     numbers(T::FIELDS).into_iter().map(tell).collect()
@@ -107,7 +107,7 @@ pub fn topics() -> Vec<TopicInfo> {
     all
 }
 
-/// Number of a topic in their table.
+/// Number of a topic in the table.
 ///
 /// # Panics
 /// If there is no topic of this name.
@@ -115,17 +115,17 @@ pub(crate) fn index_of(name: &str) -> usize {
     topics().iter().position(|topic| topic.name == name).expect("a topic of the table")
 }
 
-/// What two recordings with the same layouts have in common, and no others.
+/// A digest that is the same for two recordings if and only if their layouts are the same.
 pub fn layout_digest() -> String {
     let names: Vec<_> = topics().iter().flat_map(|topic| [topic.header, topic.element]).collect();
-    // FNV-1a, 64 bits: told apart are versions of one program, not adversaries.
+    // FNV-1a, 64 bits: it only has to distinguish versions of one program, not resist attacks.
     let hash = names.join(";").bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     });
     format!("{hash:016x}")
 }
 
-/// A message that was heard.
+/// A message that was received.
 #[derive(Debug)]
 pub(crate) struct Sample {
     pub(crate) topic: usize,
@@ -134,7 +134,7 @@ pub(crate) struct Sample {
     pub(crate) bytes: Vec<u8>,
 }
 
-/// An ear on one topic.
+/// The inlet of one topic.
 pub(crate) trait Tap {
     fn topic(&self) -> usize;
     fn take(&self) -> Result<Option<Sample>>;
@@ -165,7 +165,7 @@ where
     }
 }
 
-/// Ears on all topics of a run. Requests come first: they tell what everything else belongs to.
+/// The inlets of all topics of a run. Requests come first, because they say to what everything else belongs.
 pub(crate) fn tap_all(bus: &Bus) -> Result<Vec<Box<dyn Tap>>> {
     let mut taps: Vec<Box<dyn Tap>> = Vec::new();
     macro_rules! tap {

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
+use config::Parameters;
 use ipc_types::layout::{Bytes, Layout, Number, numbers};
 use ipc_types::{
     Attempt, BatchHeader, Command, Credit, DriveOutcome, DriveRequest, GainSwitch, Message,
@@ -16,10 +17,10 @@ use crate::script::{Batch, Order, batches};
 
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
-/// Messages of a topic that one look takes at most.
+/// The largest number of messages of a topic that one look takes.
 const AT_ONCE: usize = 64;
 
-/// The first answer that is not the recorded one.
+/// The first answer that differs from the recorded one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs, reason = "named after what they hold")]
 pub struct Difference {
@@ -32,7 +33,7 @@ pub struct Difference {
     pub replayed: String,
 }
 
-/// What a replay has come to.
+/// The result of a replay.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Outcome {
     /// Ticks that were compared.
@@ -48,8 +49,13 @@ pub struct Outcome {
 /// # Errors
 /// If it cannot join the run, the recording cannot be read, or the transport fails.
 pub fn run() -> Result<()> {
-    let (attachment, bus, _) = join()?;
+    let (attachment, bus, config) = join()?;
     let order = Order::read(&attachment.folder)?;
+    let parameters_of = |named| {
+        let parameters = config.law.parameters_of(named);
+        parameters.map_err(|(name, problem)| anyhow!("{}: {name} {problem}", Order::FILE))
+    };
+    let by_zone = order.by_zone.iter().map(parameters_of).collect::<Result<_>>()?;
     let batches = batches(&order.file, &[RawCommand::TOPIC.name, Command::TOPIC.name])?;
     let mut reviewer = Reviewer {
         requests: bus.inlet()?,
@@ -58,11 +64,12 @@ pub fn run() -> Result<()> {
         proposals: bus.outlet()?,
         gains: bus.outlet()?,
         credits: bus.outlet()?,
-        raw: Side::new(&bus)?,
-        commands: Side::new(&bus)?,
+        raw: ComparedTopic::new(&bus)?,
+        commands: ComparedTopic::new(&bus)?,
         run: attachment.names.run,
         folder: attachment.folder.clone(),
         order,
+        by_zone,
         batches,
         batch: 0,
         header: BatchHeader {
@@ -72,28 +79,28 @@ pub fn run() -> Result<()> {
         reported: None,
         credited: 0,
         outcome: Outcome::default(),
-        stage: Stage::Fresh,
+        stage: ReplayStage::Fresh,
         counters: Counters::default(),
     };
     serve(&attachment, &bus, WakeRole::Trainer, &mut reviewer)
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Stage {
+enum ReplayStage {
     Fresh,
     Driving,
     Over,
 }
 
 /// One of the topics that are compared.
-struct Side<M: Message> {
+struct ComparedTopic<M: Message> {
     inlet: Inlet<M>,
     early: Option<Received<M>>,
     next_tick: u64,
     difference: Option<Difference>,
 }
 
-impl<M: Message<Header = TickHeader>> Side<M> {
+impl<M: Message<Header = TickHeader>> ComparedTopic<M> {
     fn new(bus: &Bus) -> Result<Self> {
         Ok(Self { inlet: bus.observe()?, early: None, next_tick: 0, difference: None })
     }
@@ -102,7 +109,7 @@ impl<M: Message<Header = TickHeader>> Side<M> {
         (self.next_tick, self.difference) = (0, None);
     }
 
-    /// Compares what has come with the recording; whether there was anything.
+    /// Compares what has come with the recording; returns whether anything had come.
     fn compare(&mut self, now: BatchHeader, batch: &Batch, order: &Order) -> Result<bool> {
         for taken in 0..AT_ONCE {
             let message = match self.early.take() {
@@ -153,7 +160,7 @@ fn first_difference<M: Message>(tick: u64, items: &[M], batch: &Batch) -> Option
     }
     let slots = recorded.chunks(size_of::<M>()).zip(bytes.chunks(size_of::<M>())).enumerate();
     for (slot, (was, is)) in slots {
-        // Byte by byte first: the names of all fields are many words for nothing.
+        // Byte by byte first: making the names of all fields is rarely necessary.
         let fields = if was == is { Vec::new() } else { numbers(<M as Layout>::FIELDS) };
         for field in &fields {
             let (was, is) = (value(field, was), value(field, is));
@@ -183,11 +190,13 @@ struct Reviewer {
     proposals: Outlet<Proposal>,
     gains: Outlet<GainSwitch>,
     credits: Outlet<Credit>,
-    raw: Side<RawCommand>,
-    commands: Side<Command>,
+    raw: ComparedTopic<RawCommand>,
+    commands: ComparedTopic<Command>,
     run: u64,
     folder: PathBuf,
     order: Order,
+    /// The parameters of each zone that replace the recorded ones; empty to keep the recorded ones.
+    by_zone: Vec<Parameters>,
     batches: Vec<Batch>,
     /// The batch that is replayed, as an index.
     batch: usize,
@@ -197,21 +206,21 @@ struct Reviewer {
     reported: Option<u64>,
     credited: u64,
     outcome: Outcome,
-    stage: Stage,
+    stage: ReplayStage,
     counters: Counters,
 }
 
 impl Reviewer {
     fn propose(&mut self) -> Result<()> {
-        self.stage = Stage::Driving;
+        self.stage = ReplayStage::Driving;
         let attempt = Attempt::between_batches(self.run);
         let header = BatchHeader { attempt, sent_ns: now_ns(), ..BatchHeader::default() };
         let step = self.batch as u32;
-        let by_zone = &self.order.by_zone;
+        let by_zone = &self.by_zone;
         let Some(batch) =
             self.batches.get(self.batch).filter(|_| self.outcome.difference.is_none())
         else {
-            self.stage = Stage::Over;
+            self.stage = ReplayStage::Over;
             let text = serde_json::to_string_pretty(&self.outcome)?;
             std::fs::write(self.folder.join("outcome.json"), text)?;
             let header = BatchHeader { flags: Proposal::FINISHED, ..header };
@@ -224,7 +233,7 @@ impl Reviewer {
             let mut flags = recorded | DriveRequest::RECORDED;
             let mut parameters = request.parameters;
             if let Some(first) = by_zone.first() {
-                parameters = first.to_parameters();
+                parameters = first.0;
                 flags &= !DriveRequest::SCHEDULED;
                 flags |= if by_zone.len() > 1 { DriveRequest::SCHEDULED } else { 0 };
             }
@@ -234,7 +243,7 @@ impl Reviewer {
         Ok(())
     }
 
-    /// Answers a zone with the recorded gains, or with those under review.
+    /// Answers a zone with the recorded parameters, or with those under review.
     fn answer(&mut self, zones: &Received<Zone>) -> Result<()> {
         let header = zones.header();
         let Some(batch) = self.batches.get(self.batch) else { return Ok(()) };
@@ -244,11 +253,12 @@ impl Reviewer {
             .filter_map(|zone| {
                 let Zone { from_tick, slot, zone } = *zone;
                 let recorded = batch.switches.iter().find(|it| (it.slot, it.zone) == (slot, zone));
-                let parameters = match self.order.by_zone.get(zone as usize) {
-                    Some(gains) => gains.to_parameters(),
+                let parameters = match self.by_zone.get(zone as usize) {
+                    Some(parameters) => parameters.0,
                     None => match recorded {
                         Some(recorded) => recorded.parameters,
-                        // A zone that was not entered then: whatever it gets, the command tells of it.
+                        // A zone that was not entered in the recording: whatever parameters it gets, the command will
+                        // differ.
                         None => batch.requests.get(slot as usize)?.parameters,
                     },
                 };
@@ -279,7 +289,7 @@ impl Reviewer {
         }
         self.reported = None;
         let sides = [self.raw.difference.take(), self.commands.difference.take()];
-        // The raw command comes first in a tick; a stable choice between equals keeps it so.
+        // The raw command comes first in a tick, and a stable choice between equal ticks keeps it first.
         self.outcome.difference =
             sides.into_iter().flatten().min_by_key(|it| (it.tick, it.topic == Command::TOPIC.name));
         let (from, to) = (self.order.from_tick, self.order.to_tick);
@@ -292,7 +302,7 @@ impl Reviewer {
 
 impl Service for Reviewer {
     fn poll(&mut self) -> Result<bool> {
-        if self.stage == Stage::Fresh {
+        if self.stage == ReplayStage::Fresh {
             self.propose()?;
             return Ok(true);
         }
@@ -324,7 +334,7 @@ impl Service for Reviewer {
                 self.reported = Some(ticks);
             }
         }
-        if self.stage == Stage::Driving {
+        if self.stage == ReplayStage::Driving {
             self.go_on()?;
         }
         Ok(any)

@@ -1,30 +1,30 @@
-//! What is to be replayed: the batches of a recording that were driven to their end.
+//! What to replay: the batches of a recording that were driven to their end.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use config::Gains;
+use config::NamedParameters;
 use ipc_types::layout::Bytes;
 use ipc_types::{BatchHeader, DriveRequest, GainSwitch, TickHeader};
 use recorder::layout_digest;
 use recorder::reading::Recording;
 use serde::{Deserialize, Serialize};
 
-/// What the processes of a replay are told: a file in the run's folder.
+/// The order for the processes of a replay: a file in the run's folder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Order {
     /// The recording.
     pub file: PathBuf,
-    /// Ticks of each drive that are compared: from this one on.
+    /// The first tick of each drive that is compared.
     pub from_tick: u64,
-    /// Up to, and without, this one.
+    /// The tick before which the comparison ends.
     pub to_tick: u64,
-    /// How much faster than real time; none for as fast as it goes.
+    /// How many times as fast as real time; `None` for as fast as possible.
     pub speed: Option<f64>,
-    /// Gains by zone instead of the recorded ones; none of them for the recorded ones.
-    pub by_zone: Vec<Gains>,
+    /// The law's parameters by zone that replace the recorded ones; empty to keep the recorded ones.
+    pub by_zone: Vec<NamedParameters>,
 }
 
 impl Order {
@@ -34,7 +34,7 @@ impl Order {
     /// Reads the order of a run.
     ///
     /// # Errors
-    /// If there is none, or it cannot be understood.
+    /// If there is none, or it cannot be parsed.
     pub fn read(folder: &Path) -> Result<Self> {
         let path = folder.join(Self::FILE);
         let text =
@@ -46,7 +46,7 @@ impl Order {
 /// Checks that a recording can be replayed; returns its configuration.
 ///
 /// # Errors
-/// Says in one line why it cannot.
+/// If it cannot; the error says why in one line.
 pub fn check(file: &Path) -> Result<String> {
     let mut parts = parts(file, |_| false)?.into_iter();
     let recording = parts.next().context("a first part")?;
@@ -62,18 +62,18 @@ pub fn check(file: &Path) -> Result<String> {
     let Some(end) = end else { bail!(why("was cut off: its end is missing")) };
     ensure!(
         end.get("gaps").is_some_and(|gaps| gaps == "0"),
-        why("has gaps: what is not there cannot be compared")
+        why("has gaps: missing messages cannot be compared")
     );
     let config = recording.attachments.get("config.toml");
     let Some(config) = config else { bail!(why("holds no configuration")) };
     Ok(String::from_utf8(config.clone())?)
 }
 
-/// Reads a recording with the messages of some channels, and the files that it is continued in.
+/// Reads a recording with the messages of some channels, and the files that continue it.
 fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> {
     let mut parts = vec![Recording::read_only(first, &wanted)?];
     let beginning = &parts[0].beginning;
-    ensure!(!beginning.is_empty(), "{} is no recording of ours", first.display());
+    ensure!(!beginning.is_empty(), "{} is not a recording by pathtune", first.display());
     ensure!(
         beginning.get("layout") == Some(&layout_digest()),
         "{} was made by an earlier version of pathtune; its messages have another layout, so this one cannot replay it",
@@ -81,13 +81,15 @@ fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> 
     );
     if let (Some(number), Some(before)) = (beginning.get("file"), beginning.get("continues")) {
         let file = first.display();
-        bail!("{file} is part {number} of a recording, behind {before}; name the first one");
+        bail!("{file} is part {number} of a recording, after {before}; name the first one");
     }
     while let Some(next) =
         parts.last().and_then(|it| it.end.as_ref()).and_then(|end| end.get("continued_in"))
     {
-        // A name without a folder: the parts lie beside each other.
-        let name = Path::new(next).file_name().context("a recording is continued in no file")?;
+        // A name without a folder: the parts are in the same folder.
+        let name = Path::new(next)
+            .file_name()
+            .context("a recording does not name the file that continues it")?;
         let path = first.with_file_name(name);
         let part = Recording::read_only(&path, &wanted)
             .with_context(|| format!("{} is continued in {next}", first.display()))?;
@@ -104,7 +106,7 @@ fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> 
     Ok(parts)
 }
 
-/// A batch as it was driven.
+/// A batch as it was recorded.
 #[derive(Debug, Default)]
 pub(crate) struct Batch {
     /// Its number in the recording.

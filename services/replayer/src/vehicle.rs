@@ -1,4 +1,4 @@
-//! The vehicle's role, filled with recorded odometry: commands move nothing, they only bring the next tick.
+//! The vehicle's role, filled with recorded odometry: commands move nothing, they only trigger the next tick.
 
 use std::path::Path;
 use std::time::Duration;
@@ -13,8 +13,8 @@ use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 
 use crate::script::{Batch, Order, batches, parse};
 
-/// Runs the process until it is asked to stop. With a file, the first batch of that recording answers whatever is asked
-/// for; else the batches of the run's order, each the request that names it.
+/// Runs the process until it is asked to stop. With a file, the first batch of that recording answers every request;
+/// otherwise the batches of the run's order are used, each for the request that names it.
 ///
 /// # Errors
 /// If it cannot join the run, the recording cannot be read, or the transport fails.
@@ -47,7 +47,7 @@ struct Replayer {
     batches: Vec<Batch>,
     /// The first batch answers every request.
     for_any: bool,
-    /// Between two ticks, where the clock paces.
+    /// Time between two ticks, if the clock paces.
     tick_ns: Option<u64>,
     started_ns: u64,
     /// The batch that is replayed, as an index.
@@ -118,7 +118,7 @@ impl Replayer {
         let due_ns = self.started_ns + header.tick * self.tick_ns.unwrap_or_default();
         let early_ns = due_ns.saturating_sub(now_ns());
         if early_ns > 0 {
-            // A nap at a time: requests and signs of life go on.
+            // Only one nap at a time, so that requests and signs of life go on.
             std::thread::sleep(Duration::from_nanos(early_ns.min(1_000_000)));
             return Ok(true);
         }
@@ -128,7 +128,7 @@ impl Replayer {
         let bytes =
             recorded.get(header.tick as usize).or(recorded.last()).context("no odometry")?;
         let odometry: Vec<Odometry> = parse(bytes);
-        // Who drives on beyond the end of the recording is told to end.
+        // A drive that goes on beyond the end of the recording is told to end.
         let more = if is_beyond { Odometry::COLLISION } else { 0 };
         header.odometry_sent_ns = now_ns();
         (self.counters.batch, self.counters.tick) = (header.attempt.batch, header.tick);

@@ -1,6 +1,6 @@
-//! Axes: from where to where, which ticks, and how numbers are written.
+//! Axes: their ends, their ticks, and how numbers are written.
 
-/// Values beyond this are drawn at the bound: the arithmetic of an axis stays finite, also that of squares.
+/// Values beyond this are drawn at the bound, so that the arithmetic of an axis stays finite, even that of squares.
 pub(crate) const HUGE: f64 = 1e150;
 
 /// One axis of a picture.
@@ -13,7 +13,7 @@ pub(crate) struct Axis {
 }
 
 impl Axis {
-    /// An axis that holds all values, with some air beyond them, and about `wanted` ticks.
+    /// An axis that covers all values, with some space beyond them, and about `wanted` ticks.
     pub(crate) fn around(values: impl IntoIterator<Item = f64>, wanted: usize) -> Self {
         let (low, high) = extent(values);
         let air = 0.05 * (high - low);
@@ -24,13 +24,13 @@ impl Axis {
     pub(crate) fn tight(values: impl IntoIterator<Item = f64>, wanted: usize) -> Self {
         let (low, high) = extent(values);
         let step = nice_step((high - low) / wanted.max(1) as f64);
-        // A drive of 5 s ends a tick before them: the axis ends with the round number then.
+        // A drive of 5 s ends one tick before 5 s: then the axis ends at the round number.
         let round = (high / step).ceil() * step;
         let high = if round - high < 0.02 * (high - low) { round } else { high };
         Self::between(low, high, wanted)
     }
 
-    /// An axis from 0, for bars: their length is the number.
+    /// An axis from 0, for bars, whose length is the number.
     pub(crate) fn from_zero(values: impl IntoIterator<Item = f64>, wanted: usize) -> Self {
         let (_, high) = extent(values.into_iter().chain([0.0]));
         Self::between(0.0, high * 1.05, wanted)
@@ -45,7 +45,7 @@ impl Axis {
     pub(crate) fn between(low: f64, high: f64, wanted: usize) -> Self {
         let (low, high) = widened(low, high);
         let step = nice_step((high - low) / wanted.max(1) as f64);
-        // Counted, not added up: beside enormous values a step may be too small to change a sum.
+        // Multiplied, not added up: with enormous values a step may be too small to change a sum.
         let first = (low / step - 1e-6).ceil();
         let count = ((high / step + 1e-6).floor() - first).clamp(0.0, 30.0) as usize;
         let ticks = (0..=count)
@@ -94,7 +94,7 @@ fn widened(low: f64, high: f64) -> (f64, f64) {
     (middle - half, middle + half)
 }
 
-/// The one of 1, 2, 5 times a power of ten that is nearest to `step`.
+/// The number nearest to `step` that is 1, 2 or 5 times a power of ten.
 fn nice_step(step: f64) -> f64 {
     let power = 10f64.powf(step.log10().floor());
     let bounds = [(1.0, 1.5), (2.0, 3.5), (5.0, 7.5)];
@@ -107,7 +107,7 @@ fn tick_label(tick: f64, step: f64, largest: f64) -> String {
         if tick.abs() < step * 0.5 {
             return "0".to_owned();
         }
-        // As many digits as tell neighbours apart, but no more than fit.
+        // As many digits as are needed to distinguish neighbours, but no more than fit.
         let digits = (largest.log10().floor() - step.log10().floor()).clamp(0.0, 4.0) as usize;
         return typographic(&format!("{tick:.digits$e}"));
     }
@@ -115,7 +115,7 @@ fn tick_label(tick: f64, step: f64, largest: f64) -> String {
     typographic(&format!("{tick:.decimals$}"))
 }
 
-/// A number with `digits` digits behind the point; in powers of ten where that would be unreadable.
+/// A number with `digits` digits after the decimal point; in powers of ten if that would be unreadable.
 pub(crate) fn number(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return "–".to_owned();
@@ -132,16 +132,20 @@ pub(crate) fn optional(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "–".to_owned(), |value| number(value, digits))
 }
 
-/// A gain with as many digits as it needs.
-pub(crate) fn gain(value: f64) -> String {
-    let text = number(value, 4);
+/// A parameter with as many digits as it needs: at least four significant ones.
+pub(crate) fn short(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return number(value, 0);
+    }
+    let digits = (3.0 - value.abs().log10().floor()).clamp(4.0, 9.0) as usize;
+    let text = number(value, digits);
     if text.contains('e') || !text.contains('.') {
         return text;
     }
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// A count with its thousands apart.
+/// A count with its thousands separated.
 pub(crate) fn integer(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::new();
@@ -154,7 +158,7 @@ pub(crate) fn integer(count: u64) -> String {
     text
 }
 
-/// With a minus sign instead of a hyphen, and none before a zero.
+/// Replaces the hyphen by a minus sign, and removes it before a zero.
 fn typographic(number: &str) -> String {
     let Some(digits) = number.strip_prefix('-') else { return number.to_owned() };
     let is_zero = digits.chars().all(|c| c == '0' || c == '.');
@@ -214,8 +218,9 @@ mod tests {
         assert_eq!(number(0.79550564, 4), "0.7955");
         assert_eq!(number(-0.00000001, 4), "−1.00e−8");
         assert_eq!(number(f64::NAN, 4), "–");
-        assert_eq!(gain(1.8399999999999999), "1.84");
-        assert_eq!(gain(21.0), "21");
+        assert_eq!(short(1.8399999999999999), "1.84");
+        assert_eq!((short(21.0).as_str(), short(0.0).as_str()), ("21", "0"));
+        assert_eq!((short(0.000123456).as_str(), short(-0.02).as_str()), ("0.0001235", "−0.02"));
         assert_eq!(integer(15117), "15\u{202f}117");
         assert_eq!(integer(750), "750");
     }

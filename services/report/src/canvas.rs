@@ -1,7 +1,8 @@
 //! One picture: its surface, and the few marks that every picture is made of.
 //!
-//! Plotters counts in whole pixels. The surface is therefore [`FINE`] times as large as the picture is shown, so that curves are
-//! smooth. Lines differ in dash pattern, width and marker, never in colour alone: they are told apart in print too.
+//! Plotters uses whole pixels. The surface is therefore [`FINE`] times as large as the shown picture, so that curves
+//! are smooth. Lines differ in dash pattern, width and marker, never only in colour, so that they can be distinguished
+//! in print, too.
 
 use plotters::backend::SVGBackend;
 use plotters::coord::Shift;
@@ -24,7 +25,7 @@ pub(crate) const FINE: f64 = 10.0;
 pub(crate) const WIDE: f64 = 960.0;
 /// Width of a picture that shares its row with another.
 pub(crate) const HALF: f64 = 470.0;
-/// Room to the left of a plot, for the ticks of its axis and for its name.
+/// Room to the left of a plot, for the axis's ticks and name.
 pub(crate) const LEFT: f64 = 68.0;
 /// Room to the right: the last tick's label may be longer than the axis.
 pub(crate) const RIGHT: f64 = 16.0;
@@ -42,7 +43,7 @@ pub(crate) const PAPER_WHITE: RGBColor = RGBColor(0xff, 0xff, 0xff);
 pub(crate) const NAVY: RGBColor = RGBColor(0x0b, 0x3c, 0x6f);
 pub(crate) const BLUE: RGBColor = RGBColor(0x4c, 0x86, 0xb8);
 pub(crate) const ORANGE: RGBColor = RGBColor(0xe6, 0x88, 0x22);
-/// Colours that the colour-blind can tell apart, from dark to light.
+/// Colours that colour-blind readers can distinguish, from dark to light.
 pub(crate) const COLOURS: [RGBColor; 6] = [
     RGBColor(0x0b, 0x3c, 0x6f),
     RGBColor(0xc4, 0x4e, 0x00),
@@ -62,14 +63,14 @@ type Drawn = Result<(), String>;
 /// A finished picture.
 #[derive(Debug)]
 pub(crate) struct Picture {
-    /// Name of its file, without the ending.
+    /// Name of its file, without extension.
     pub(crate) name: String,
     pub(crate) svg: String,
-    /// Width at which its letters have the size of the page's.
+    /// Width at which its letters have the same size as those of the page.
     pub(crate) width: f64,
 }
 
-/// Draws one picture. `words` tells those who cannot see it what it shows.
+/// Draws one picture. `words` describes it for readers who cannot see it.
 pub(crate) fn picture(
     name: &str,
     words: &str,
@@ -83,7 +84,7 @@ pub(crate) fn picture(
         draw(&surface).and_then(|()| surface.present().map_err(|error| error.to_string()))
     };
     outcome.map_err(|problem| ReportError::Draw { picture: name.to_owned(), problem })?;
-    // The library's own opening tag shows the picture ten times too large, and tells nobody what it is.
+    // The library's own opening tag shows the picture ten times too large, and does not describe it.
     let inside = drawn.split_once('>').map_or("", |(_, inside)| inside);
     let head = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.0}\" height=\"{height:.0}\" viewBox=\"0 0 {} {}\" \
@@ -111,7 +112,7 @@ pub(crate) struct Stroke {
     pub(crate) width: f64,
     pub(crate) dash: &'static [f64],
     pub(crate) marker: Option<Marker>,
-    /// Markers alone, without the line between them.
+    /// Only markers, without the line between them.
     pub(crate) hidden: bool,
 }
 
@@ -124,7 +125,7 @@ impl Stroke {
         Self { dash, ..Self::solid(colour, width) }
     }
 
-    /// The look of one of many lines: no two of the first thirty are the same in print.
+    /// The style of one of many lines: no two of the first thirty are the same in print.
     pub(crate) fn of_many(index: usize) -> Self {
         Self {
             colour: COLOURS[index % COLOURS.len()],
@@ -136,7 +137,7 @@ impl Stroke {
     }
 }
 
-/// What stands at the points of a line.
+/// The marker at the points of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Marker {
     Disc,
@@ -189,7 +190,7 @@ where
     surface.draw(element).map_err(|error| error.to_string())
 }
 
-/// Where a text stands relative to its point.
+/// Where a text is relative to its point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Anchor {
     /// The text begins at the point.
@@ -221,7 +222,7 @@ pub(crate) fn write(surface: &Surface, text: &str, at: (f64, f64), anchor: Ancho
     put(surface, &element)
 }
 
-/// About the width of a text, in shown pixels: letters of the usual fonts are a little narrower.
+/// The approximate width of a text, in shown pixels: letters of the usual fonts are a little narrower.
 pub(crate) fn text_width(text: &str) -> f64 {
     text.chars().count() as f64 * LETTER * 0.56
 }
@@ -253,7 +254,7 @@ pub(crate) fn badge(surface: &Surface, at: (f64, f64), text: &str) -> Drawn {
     write(surface, text, at, Anchor::Middle)
 }
 
-/// A line through points of the surface, cut into dashes where it has a pattern.
+/// A line through points of the surface, cut into dashes if it has a pattern.
 fn trace(surface: &Surface, points: &[(i32, i32)], look: &Stroke) -> Drawn {
     let style = stroke(look.colour, look.width);
     let dashes = if look.dash.is_empty() { vec![points.to_vec()] } else { cut(points, look.dash) };
@@ -301,7 +302,7 @@ fn cut(points: &[(i32, i32)], pattern: &[f64]) -> Vec<Vec<(i32, i32)>> {
     dashes
 }
 
-/// A legend above the plots, row by row: it cannot cover a line.
+/// A legend above the plots, row by row, where it cannot cover a line.
 pub(crate) struct Legend<'a> {
     rows: Vec<Vec<(f64, &'a str, Stroke)>>,
     /// Empty rows above.
@@ -329,7 +330,7 @@ impl<'a> Legend<'a> {
         Self { rows, spare: 0 }
     }
 
-    /// The same legend with the room of so many rows: plots side by side begin at one height.
+    /// The same legend with room for at least `rows` rows, so that plots side by side begin at the same height.
     pub(crate) fn at_least(self, rows: usize) -> Self {
         Self { spare: rows.saturating_sub(self.rows.len()), ..self }
     }
@@ -344,7 +345,7 @@ impl<'a> Legend<'a> {
             let y = 12.0 + (self.spare + index) as f64 * LEGEND_ROW;
             for (x, label, look) in row {
                 if !look.hidden {
-                    // Hairlines are found in a plot by their crowd; alone they would not be seen.
+                    // In a plot, many hairlines together are visible; a single one in the legend would not be.
                     let look = Stroke { width: look.width.max(1.0), ..*look };
                     rule(surface, (*x, y), (x + 28.0, y), &look)?;
                 }
@@ -396,7 +397,7 @@ impl<'s, 'a> Plot<'s, 'a> {
             let at = f64::from(plot.pixel((*value, y.low)).0) / FINE;
             rule(surface, (at, top), (at, bottom), &grid)?;
             rule(surface, (at, bottom), (at, bottom + 4.0), &mark)?;
-            // A long label at the end of the axis moves inwards rather than out of the picture.
+            // A long label at the end of the axis is moved inwards, so that it stays in the picture.
             let most = right + RIGHT - 1.0 - 0.5 * text_width(label);
             write(surface, label, (at.min(most), bottom + 13.0), Anchor::Middle)?;
         }
@@ -425,7 +426,7 @@ impl<'s, 'a> Plot<'s, 'a> {
 
     fn pixel(&self, point: (f64, f64)) -> (i32, i32) {
         use plotters::coord::CoordTranslate;
-        // What no axis holds would overflow the library's arithmetic.
+        // Values beyond the axes would overflow the library's arithmetic.
         self.coord.translate(&(point.0.clamp(-HUGE, HUGE), point.1.clamp(-HUGE, HUGE)))
     }
 
@@ -442,7 +443,7 @@ impl<'s, 'a> Plot<'s, 'a> {
             trace(self.surface, &pixels, look)?;
         }
         if pixels.len() == 1 && look.marker.is_none() {
-            // A line of one point would not be seen.
+            // A line of one point would be invisible.
             Marker::Disc.draw(self.surface, pixels[0], look.colour)?;
         }
         for &at in pixels.iter().filter(|_| look.marker.is_some()) {
@@ -458,7 +459,7 @@ impl<'s, 'a> Plot<'s, 'a> {
         for (x, label) in lines {
             let at = f64::from(self.pixel((*x, 0.0)).0) / FINE;
             rule(self.surface, (at, top), (at, top + height), look)?;
-            // Of lines close to each other the numbers stand in a row, still in the order of the lines.
+            // The numbers of lines that are close to each other are in a row, in the order of the lines.
             let beside = at.max(free);
             badge(self.surface, (beside, top - 10.0), label)?;
             free = beside + 18.0;

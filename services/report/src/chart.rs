@@ -13,7 +13,7 @@ use crate::decimate::decimate;
 /// One line of a chart.
 #[derive(Debug, Clone)]
 pub(crate) struct Line {
-    /// What the legend calls it.
+    /// Its name in the legend.
     pub(crate) label: String,
     pub(crate) points: Vec<(f64, f64)>,
     pub(crate) look: Stroke,
@@ -31,10 +31,10 @@ impl Line {
     }
 }
 
-/// Lines over a common axis. The first line lies on top.
+/// Lines over a common axis. The first line is on top.
 pub(crate) struct Chart<'a> {
     pub(crate) name: &'a str,
-    /// What the picture shows, for those who cannot see it.
+    /// What the picture shows, for readers who cannot see it.
     pub(crate) words: &'a str,
     pub(crate) width: f64,
     pub(crate) height: f64,
@@ -42,7 +42,7 @@ pub(crate) struct Chart<'a> {
     pub(crate) x_name: &'a str,
     pub(crate) y_name: &'a str,
     pub(crate) lines: &'a [Line],
-    /// Rows of the legend that are kept free at least.
+    /// The least number of rows for the legend.
     pub(crate) legend_rows: usize,
     /// Borders between zones, each with its number.
     pub(crate) borders: &'a [(f64, String)],
@@ -68,10 +68,10 @@ fn legend(lines: &[Line], width: f64) -> Legend<'_> {
     Legend::new(lines.iter().map(|line| (line.label.as_str(), line.look)), width)
 }
 
-/// Lines in the plane, a metre as long in one direction as in the other.
+/// Lines in the plane, with the same scale in both directions.
 pub(crate) struct Map<'a> {
     pub(crate) name: &'a str,
-    /// What the picture shows, for those who cannot see it.
+    /// What the picture shows, for readers who cannot see it.
     pub(crate) words: &'a str,
     pub(crate) lines: &'a [Line],
     /// Where lines end.
@@ -97,7 +97,7 @@ impl Map<'_> {
             }
             for (pose, label) in self.borders {
                 let at = plot.place((pose.x_m, pose.y_m));
-                // Pixels run downwards: to the left of the path is this way.
+                // Pixels count downwards, so this is the left of the path.
                 let left = (-pose.yaw_rad.sin(), -pose.yaw_rad.cos());
                 let beside = |side: f64| (at.0 + side * left.0, at.1 + side * left.1);
                 let inside = |p: (f64, f64)| {
@@ -113,7 +113,7 @@ impl Map<'_> {
     }
 }
 
-/// Both axes of a map, and the size of its plot: as large as fits, and never too narrow for its ticks.
+/// Both axes of a map, and the size of its plot: as large as possible, and never too narrow for its ticks.
 fn equal_axes(
     x: impl Iterator<Item = f64>,
     y: impl Iterator<Item = f64>,
@@ -130,12 +130,12 @@ fn equal_axes(
     let largest = (x_high - x_low).max(y_high - y_low);
     let magnitude =
         [x_low, x_high, y_low, y_high].into_iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-    // A vehicle that stood still is shown with a metre around it.
+    // For a vehicle that stood still, the map shows a metre around it.
     let largest = if largest <= magnitude * 1e-9 { (magnitude * 0.1).max(1.0) } else { largest };
     let air = 0.05 * largest;
     let (dx, dy) = (x_high - x_low + 2.0 * air, y_high - y_low + 2.0 * air);
     let pixels_per_metre = (MOST.0 / dx).min(MOST.1 / dy);
-    // Whole pixels, so that rounding does not stretch one of the directions.
+    // Uses whole pixels, so that rounding does not stretch one of the directions.
     let width = (dx * pixels_per_metre).max(LEAST.0).round();
     let height = (dy * pixels_per_metre).max(LEAST.1).round();
     let axis = |low: f64, high: f64, pixels: f64| {

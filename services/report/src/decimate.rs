@@ -1,12 +1,12 @@
-//! Fewer points for the same line: what the eye sees of a line are its extremes.
+//! Fewer points for the same line: only the extremes of a line are visible.
 
-/// Most points of a line in a picture.
+/// The largest number of points of a line in a picture.
 pub(crate) const MOST_POINTS: usize = 1500;
 
-/// The line with [`MOST_POINTS`] points at most. Of every stretch the ends and the extremes in both directions stay, so
-/// that no spike is lost and no corner cut.
+/// The line with at most [`MOST_POINTS`] points. Every stretch keeps its ends and its extremes in both directions, so
+/// that no spike is lost and no corner is cut.
 pub(crate) fn decimate(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    // Six points stay of a stretch at most.
+    // At most six points of a stretch are kept.
     const STRETCHES: usize = MOST_POINTS / 6;
     if points.len() <= MOST_POINTS {
         return points.to_vec();

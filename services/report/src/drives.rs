@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use crate::ReportError;
+use crate::files::{check_numbers, read_table};
 
 /// One tick of a recorded drive, as far as the figures show it.
 #[derive(Debug, Clone, Copy, Deserialize)]
@@ -45,7 +46,7 @@ impl Row {
     }
 }
 
-/// The drives of one gain set: with noise, without, or both.
+/// The drives of one parameter set: with noise, without, or both.
 #[derive(Debug, Default)]
 pub(crate) struct DriveSet {
     pub(crate) name: String,
@@ -53,7 +54,7 @@ pub(crate) struct DriveSet {
     pub(crate) noisy: Option<Vec<Row>>,
 }
 
-/// Reads every recorded drive of a run, and joins those of one set. A run without recorded drives has no set.
+/// Reads every recorded drive of a run, and joins those of the same set. A run without recorded drives has no set.
 pub(crate) fn read(run: &Path) -> Result<Vec<DriveSet>, ReportError> {
     let folder = run.join("drives");
     let mut paths: Vec<PathBuf> = match fs::read_dir(&folder) {
@@ -80,7 +81,7 @@ pub(crate) fn read(run: &Path) -> Result<Vec<DriveSet>, ReportError> {
     Ok(sets.into_values().collect())
 }
 
-/// The set's name for people, and whether the drive is a noisy one.
+/// The set's name for readers, and whether the drive is a noisy one.
 fn split_name(stem: &str) -> (String, bool) {
     let words: String =
         stem.chars().map(|c| if c == '_' || c.is_control() { ' ' } else { c }).collect();
@@ -95,7 +96,7 @@ fn split_name(stem: &str) -> (String, bool) {
     (if name.is_empty() { "drive" } else { name }.to_owned(), noisy)
 }
 
-/// What was tuned comes first, what it is held against next, everything else by name.
+/// The tuned set comes first, then the sets with which it is compared, then all others by name.
 fn order(name: &str) -> u8 {
     match name {
         _ if name.starts_with("tuned") => 0,
@@ -106,49 +107,16 @@ fn order(name: &str) -> u8 {
 }
 
 fn read_drive(path: &Path) -> Result<Vec<Row>, ReportError> {
-    let bytes =
-        fs::read(path).map_err(|problem| ReportError::Read { path: path.to_owned(), problem })?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
-    let headers = reader.headers().map_err(|error| at(path, &error))?.clone();
     let mut rows = Vec::new();
-    for record in reader.records() {
-        let record = record.map_err(|error| at(path, &error))?;
-        let line = record.position().map(csv::Position::line);
-        let row: Row = record.deserialize(Some(&headers)).map_err(|error| {
-            let problem = match error.kind() {
-                csv::ErrorKind::Deserialize { err, .. } => {
-                    let column = err
-                        .field()
-                        .and_then(|field| headers.get(field as usize))
-                        .map(|name| format!("{name}: "));
-                    format!("{}{}", column.unwrap_or_default(), err.kind())
-                }
-                _ => error.to_string(),
-            };
-            ReportError::malformed(path, line, problem)
-        })?;
-        if let Some((column, number)) = row.numbers().iter().find(|(_, n)| !n.is_finite()) {
-            let problem = format!("{column}: {number} is no number that can be drawn");
-            return Err(ReportError::malformed(path, line, problem));
-        }
+    read_table(path, |row: Row| {
+        check_numbers(row.numbers())?;
         rows.push(row);
-    }
+        Ok(())
+    })?;
     if rows.is_empty() {
         return Err(ReportError::malformed(path, None, "the file holds no tick"));
     }
     Ok(rows)
-}
-
-fn at(path: &Path, error: &csv::Error) -> ReportError {
-    let line = error.position().map(csv::Position::line);
-    let problem = match error.kind() {
-        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            format!("{len} values where the header names {expected_len} columns")
-        }
-        csv::ErrorKind::Utf8 { .. } => "the text is not UTF-8".to_owned(),
-        _ => error.to_string(),
-    };
-    ReportError::malformed(path, line, problem)
 }
 
 #[cfg(test)]

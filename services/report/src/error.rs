@@ -16,18 +16,21 @@ pub enum ReportError {
         /// Why it may be missing, and what to do.
         advice: &'static str,
     },
-    /// A file is there, but does not hold what it should.
-    #[error("{}: {problem}; the file was changed or cut off since the run, run it again", at(path, *line))]
+    /// The result cannot be read, or was made by another version.
+    #[error("{0}")]
+    Result(String),
+    /// A file exists, but does not hold what it should.
+    #[error("{}: {problem}; the file was changed or cut off since the run; repeat the run", at(path, *line))]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// The line, counted from 1, where one is known.
+        /// The line, counted from 1, if it is known.
         line: Option<u64>,
         /// What is wrong with it.
         problem: String,
     },
     /// A file could not be read.
-    #[error("failed to read {}: {problem}; check that it exists and is yours to read", path.display())]
+    #[error("failed to read {}: {problem}; check that it exists and that you may read it", path.display())]
     Read {
         /// The file or folder.
         path: PathBuf,
@@ -35,14 +38,14 @@ pub enum ReportError {
         problem: io::Error,
     },
     /// A file could not be written.
-    #[error("failed to write {}: {problem}; check that the folder is yours to write and the disk not full", path.display())]
+    #[error("failed to write {}: {problem}; check that you may write to the folder and that the disk is not full", path.display())]
     Write {
         /// The file or folder.
         path: PathBuf,
         /// What the system says.
         problem: io::Error,
     },
-    /// A picture could not be drawn: a mistake of this crate, not of the files.
+    /// A picture could not be drawn: this is a bug of this crate, not a mistake in the files.
     #[error("failed to draw {picture}: {problem}; please report this with the run's folder")]
     Draw {
         /// Name of the picture.
@@ -55,10 +58,17 @@ pub enum ReportError {
 impl ReportError {
     /// A file that does not hold what it should; a parser's message of several lines becomes one.
     pub(crate) fn malformed(path: &Path, line: Option<u64>, problem: impl ToString) -> Self {
-        let problem = problem.to_string();
-        let problem = problem.split_whitespace().collect::<Vec<_>>().join(" ");
-        Self::Malformed { path: path.to_owned(), line, problem }
+        Self::Malformed { path: path.to_owned(), line, problem: one_line(problem) }
     }
+
+    /// A result that was refused, with the reason.
+    pub(crate) fn result(problem: impl ToString) -> Self {
+        Self::Result(one_line(problem))
+    }
+}
+
+fn one_line(problem: impl ToString) -> String {
+    problem.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 fn at(path: &Path, line: Option<u64>) -> String {

@@ -1,17 +1,18 @@
-//! The figures of the recorded drives, as the paper shows them: the way in the plane, velocities and errors over time.
+//! The figures of the recorded drives, as in the paper: the trajectory in the plane, and velocities and errors over
+//! time.
 
 use config::RunConfig;
 use maud::{Markup, html};
 use tracking::{Path, Pose};
 
 use crate::ReportError;
-use crate::axis::{Axis, gain};
+use crate::axis::{Axis, short};
 use crate::canvas::{DASHES, GREY, HALF, INK, Marker, NAVY, ORANGE, Stroke};
 use crate::chart::{Chart, Line, Map};
 use crate::drives::{DriveSet, Row};
 use crate::page::Page;
 
-/// Adds one section for each set of which drives were recorded.
+/// Adds one section for each set with recorded drives.
 pub(crate) fn sections(
     page: &mut Page,
     sets: &[DriveSet],
@@ -26,7 +27,7 @@ pub(crate) fn sections(
 
 type Series<'a> = (&'a str, Stroke, fn(&Row) -> f64);
 
-/// Lines over time, in the order of the legend: noise-free ones lie above the noisy ones.
+/// Lines over time, in the order of the legend: noise-free lines are drawn on top of noisy ones.
 fn over_time(set: &DriveSet, noise_free: &[Series], noisy: &[Series]) -> Vec<Line> {
     let mut lines = Vec::new();
     for (rows, series) in [(&set.noise_free, noise_free), (&set.noisy, noisy)] {
@@ -66,7 +67,7 @@ fn figures(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup
     let speed = chart(
         "velocity",
         "v [m/s]",
-        "Linear velocity v, and thin what was commanded.",
+        "Linear velocity v; thin lines show the commanded one.",
         &over_time(
             set,
             &[
@@ -126,7 +127,7 @@ fn map(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup, Re
     let way = |rows: &[Row]| rows.iter().map(|row| (row.x_m, row.y_m)).collect::<Vec<_>>();
     let mut lines = Vec::new();
     let mut ends = Vec::new();
-    // Thin dashes above the solid line: both are seen where the drives go the same way.
+    // Thin dashes on top of the solid line, so that both are visible where the drives coincide.
     for (label, rows, look, marker) in [
         ("noisy", &set.noisy, Stroke::dashed(ORANGE, 1.5, &[5.0, 5.0]), Marker::Triangle),
         ("noise-free", &set.noise_free, Stroke::solid(NAVY, 2.0), Marker::Disc),
@@ -144,26 +145,26 @@ fn map(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup, Re
     let borders = borders_on_map(config);
     let picture = Map {
         name: &format!("{}-trajectory", set.name),
-        words: &format!("Trajectory of the set {} beside the reference.", set.name),
+        words: &format!("Trajectory of the set {}, with the reference.", set.name),
         lines: &lines,
         ends: &ends,
         borders: &borders,
     }
     .draw()?;
-    let mut caption = "Trajectory of the tracked point (true pose) and its reference; the markers tell where the drives ended (disc: noise-free, triangle: noisy).".to_owned();
+    let mut caption = "Trajectory of the tracked point (true pose) and its reference; the markers show where the drives ended (disc: noise-free, triangle: noisy).".to_owned();
     if !borders.is_empty() {
         let zones = config.path.zones.iter().enumerate().map(|(index, zone)| {
-            format!("{} {} from {} m", index + 1, zone.name, gain(zone.from_m))
+            format!("{} {} from {} m", index + 1, zone.name, short(zone.from_m))
         });
         caption += &format!(
-            " Zones along the path: {}; over time, a dotted line tells when the vehicle entered one.",
+            " Zones along the path: {}; over time, a dotted line shows when the vehicle entered one.",
             zones.collect::<Vec<_>>().join(", ")
         );
     }
     Ok(page.figure(picture, &caption))
 }
 
-/// Where the zones begin on the path; none where there is but one.
+/// Where the zones begin on the path; empty if there is only one.
 fn borders_on_map(config: &RunConfig) -> Vec<(Pose, String)> {
     if config.path.zones.len() < 2 {
         return Vec::new();
@@ -173,7 +174,7 @@ fn borders_on_map(config: &RunConfig) -> Vec<(Pose, String)> {
     zones.map(|(index, zone)| (path.at(zone.from_m), (index + 1).to_string())).collect()
 }
 
-/// When the vehicle changed its zone: in the noise-free drive if there is one.
+/// When the vehicle changed its zone, in the noise-free drive if there is one.
 fn borders_in_time(set: &DriveSet) -> Vec<(f64, String)> {
     let Some(rows) = set.noise_free.as_ref().or(set.noisy.as_ref()) else { return Vec::new() };
     rows.windows(2)

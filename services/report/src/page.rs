@@ -1,16 +1,13 @@
-//! The page: its head, its sections one behind the other, its figures and how they are numbered.
+//! The page: its head, its sections one after the other, and its numbered figures.
 
-use config::{Gains, RunConfig};
+use config::{LawConfig, NamedParameters, ParameterConfig, RunConfig};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use outcome::{Decided, Outcome, RunResult};
 
-use crate::axis::gain;
+use crate::axis::short;
 use crate::canvas::{HALF, Picture};
-use crate::result::{Head, RunResult};
 
 const STYLE: &str = include_str!("style.css");
-
-/// Names of the gains with their units, as axes show them, in the order of [`Gains::NAMES`].
-pub(crate) const GAIN_UNITS: [&str; 4] = ["Kv [1/s]", "Kl [rad/(m·s)]", "Ks [1/s]", "Ki [no unit]"];
 
 /// A page that is being written.
 pub(crate) struct Page {
@@ -21,13 +18,13 @@ pub(crate) struct Page {
 }
 
 impl Page {
-    pub(crate) fn new(head: &Head, result: &RunResult, config: &RunConfig) -> Self {
-        let maneuver = head.maneuver.as_deref().unwrap_or(&config.maneuver);
-        let kind = match result {
-            RunResult::Train(_) => "training",
-            RunResult::Validate(_) => "validation",
-            RunResult::Grid(_) => "exhaustive grid",
-            RunResult::Drive(_) => "drive",
+    pub(crate) fn new(result: &RunResult, config: &RunConfig) -> Self {
+        let Decided { maneuver, vehicle, law, objective, seed, outcome, .. } = &result.decided;
+        let kind = match outcome {
+            Outcome::Train(_) => "training",
+            Outcome::Validate(_) => "validation",
+            Outcome::Grid(_) => "exhaustive grid",
+            Outcome::Drive(_) => "drive",
         };
         let title = format!("{}: {kind}", maneuver.replace('_', " "));
         let noise = if config.noise.enabled { "with noise on the odometry" } else { "noise-free" };
@@ -36,24 +33,27 @@ impl Page {
             dl.facts {
                 dt { "Manoeuvre" } dd { (maneuver) }
                 dt { "Kind" } dd {
-                    (kind) @if matches!(result, RunResult::Train(_)) { ", " (noise) }
+                    (kind) @if matches!(outcome, Outcome::Train(_)) { ", " (noise) }
                 }
-                dt { "Vehicle" } dd { (config.vehicle.name) }
-                dt { "Seed" } dd { (head.seed.unwrap_or(config.run.seed)) }
-                @if let Some(digest) = &head.digest {
-                    dt { "Digest" } dd { code { (digest) } }
+                dt { "Vehicle" } dd { (vehicle) }
+                dt { "Law" } dd { (law) @if *law == config.law.name { " (" (config.law.summary) ")" } }
+                dt { "Objective" } dd {
+                    (objective) @if *objective == config.objective.name { " (" (config.objective.summary) ")" }
                 }
+                @if let Outcome::Train(train) = outcome { dt { "Tuner" } dd { (train.tuner) " (" (config.tuner.summary) ")" } }
+                dt { "Seed" } dd { (seed) }
+                dt { "Digest" } dd { code { (outcome.digest()) } }
             }
         };
         Self { title, head, sections: Vec::new(), pictures: Vec::new() }
     }
 
-    /// Adds a section behind the others.
+    /// Adds a section after the others.
     pub(crate) fn section(&mut self, title: &str, body: Markup) {
         self.sections.push(html! { section { h2 { (title) } (body) } });
     }
 
-    /// A numbered figure. The picture is kept as a file too, under a name of its own.
+    /// A numbered figure. The picture is also kept as a file with a unique name.
     pub(crate) fn figure(&mut self, mut picture: Picture, caption: &str) -> Markup {
         let wanted = slug(&picture.name);
         picture.name = wanted.clone();
@@ -84,7 +84,7 @@ impl Page {
                     meta charset="utf-8";
                     meta name="viewport" content="width=device-width, initial-scale=1";
                     title { (self.title) }
-                    // Without it browsers ask the page's host for an icon.
+                    // Without this, browsers request an icon from the page's host.
                     link rel="icon" href="data:,";
                     style { (PreEscaped(STYLE)) }
                 }
@@ -95,7 +95,7 @@ impl Page {
                         section {
                             h2 { "Configuration" }
                             details {
-                                summary { "The resolved configuration: `--config` of it repeats the run" }
+                                summary { "The resolved configuration: passing it with `--config` repeats the run" }
                                 pre { (config) }
                             }
                         }
@@ -107,7 +107,7 @@ impl Page {
     }
 }
 
-/// A name for a file from whatever a file or a run was called.
+/// A name for a file, from any name of a file or a run.
 pub(crate) fn slug(name: &str) -> String {
     let mut slug = String::new();
     for c in name.chars() {
@@ -121,23 +121,77 @@ pub(crate) fn slug(name: &str) -> String {
     if slug.is_empty() { "picture".to_owned() } else { slug.chars().take(80).collect() }
 }
 
-/// Gains in one line, in the paper's order.
-pub(crate) fn gains_text(gains: &Gains) -> String {
-    let [kv, kl, ks, ki] = gains.to_array().map(gain);
-    format!("Kv {kv}, Kl {kl}, Ks {ks}, Ki {ki}")
+/// A parameter with its unit, as axes show it.
+pub(crate) fn parameter_title(parameter: &ParameterConfig) -> String {
+    let unit = if parameter.unit.is_empty() { "no unit" } else { &parameter.unit };
+    format!("{} [{unit}]", parameter.symbol)
 }
 
-/// The four heads of columns of gains.
-pub(crate) fn gain_heads() -> Markup {
-    html! { th.number { "Kv" } th.number { "Kl" } th.number { "Ks" } th.number { "Ki" } }
+/// The symbol of the parameter with this name.
+pub(crate) fn symbol<'a>(law: &'a LawConfig, key: &'a str) -> &'a str {
+    let parameter = law.parameters.iter().find(|it| it.key == key);
+    parameter.map_or(key, |it| it.symbol.as_str())
 }
 
-/// Four cells of gains.
-pub(crate) fn gain_cells(gains: &Gains) -> Markup {
-    html! { @for value in gains.to_array() { td.number { (gain(value)) } } }
+/// Parameters in one line, in the law's order.
+pub(crate) fn parameters_text(law: &LawConfig, named: &NamedParameters) -> String {
+    let one = |(it, value): (&ParameterConfig, String)| format!("{} {value}", it.symbol);
+    law.parameters.iter().zip(values(law, named)).map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// A table that scrolls by itself where the page is narrower.
+/// The heads of the columns of parameters: symbol and unit.
+pub(crate) fn parameter_heads(law: &LawConfig) -> Markup {
+    html! {
+        @for it in &law.parameters {
+            th.number { (it.symbol) @if !it.unit.is_empty() { " [" (it.unit) "]" } }
+        }
+    }
+}
+
+/// The cells of parameters, in the law's order.
+pub(crate) fn parameter_cells(law: &LawConfig, named: &NamedParameters) -> Markup {
+    parameter_cells_marked(law, named, &[])
+}
+
+/// The cells of parameters; those that lie on a bound of the grid are marked.
+pub(crate) fn parameter_cells_marked(
+    law: &LawConfig,
+    named: &NamedParameters,
+    on_bound: &[String],
+) -> Markup {
+    html! {
+        @for (key, value) in law.keys().zip(values(law, named)) {
+            td.number {
+                @if on_bound.iter().any(|bound| bound == key) { span.bound { (value) } span.mark { "†" } }
+                @else { (value) }
+            }
+        }
+    }
+}
+
+/// The cells of several sets, one for each manoeuvre of the path, below each other.
+pub(crate) fn parameter_cells_of_all(law: &LawConfig, sets: &[NamedParameters]) -> Markup {
+    html! {
+        @for key in law.keys() {
+            td.number {
+                @for (index, set) in sets.iter().enumerate() {
+                    @if index > 0 { br; }
+                    (value(set, key))
+                }
+            }
+        }
+    }
+}
+
+fn values(law: &LawConfig, named: &NamedParameters) -> impl Iterator<Item = String> {
+    law.keys().map(|key| value(named, key))
+}
+
+fn value(named: &NamedParameters, key: &str) -> String {
+    named.get(key).map_or_else(|| "–".to_owned(), short)
+}
+
+/// A table that scrolls by itself if the page is narrower.
 pub(crate) fn table(head: Markup, body: Markup) -> Markup {
     html! {
         div.table { table { thead { (head) } tbody { (body) } } }

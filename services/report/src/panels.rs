@@ -1,7 +1,7 @@
-//! Four small plots beside each other, one a gain; and intervals, one below the other.
+//! Small plots side by side, one for each parameter; and intervals, one below the other.
 
 use crate::ReportError;
-use crate::axis::{Axis, gain};
+use crate::axis::{Axis, short};
 use crate::canvas::{
     Anchor, BLUE, BOTTOM, Frame, GREY, LEFT, Legend, Marker, NAVY, Picture, Plot, RIGHT, Stroke,
     Surface, WIDE, block, picture, rule, text_width, write,
@@ -10,9 +10,9 @@ use crate::canvas::{
 /// One of the small plots.
 #[derive(Debug)]
 pub(crate) struct Panel {
-    /// Name of its gain, with the unit.
+    /// Name of its parameter, with the unit.
     pub(crate) name: String,
-    /// Value of the gain, and the height above it.
+    /// Value of the parameter, and the height above it.
     pub(crate) points: Vec<(f64, f64)>,
 }
 
@@ -25,7 +25,10 @@ pub(crate) enum Shown {
     Points,
 }
 
-/// Small plots with one common vertical axis: they can be held against each other.
+/// The largest number of plots in one row: with more, there would be no room for names and ticks.
+const MOST_IN_A_ROW: usize = 4;
+
+/// Small plots with a common vertical axis, so that they can be compared, in as many rows as they need.
 pub(crate) fn panels(
     name: &str,
     words: &str,
@@ -41,14 +44,17 @@ pub(crate) fn panels(
         Shown::Bars => Axis::from_zero(heights, 4),
         Shown::Points => Axis::around(heights, 4),
     };
-    let count = panels.len().max(1) as f64;
-    let width = (WIDE - LEFT - RIGHT - GAP * (count - 1.0)) / count;
-    picture(name, words, (WIDE, TOP + HEIGHT + BOTTOM), |surface| {
+    let rows = panels.len().div_ceil(MOST_IN_A_ROW).max(1);
+    let columns = panels.len().div_ceil(rows).max(1);
+    let width = (WIDE - LEFT - RIGHT - GAP * (columns - 1) as f64) / columns as f64;
+    let row_height = TOP + HEIGHT + BOTTOM;
+    picture(name, words, (WIDE, row_height * rows as f64), |surface| {
         for (index, panel) in panels.iter().enumerate() {
-            let left = LEFT + index as f64 * (width + GAP);
-            let frame = Frame { left, top: TOP, width, height: HEIGHT };
+            let (row, column) = (index / columns, index % columns);
+            let left = LEFT + column as f64 * (width + GAP);
+            let frame = Frame { left, top: TOP + row as f64 * row_height, width, height: HEIGHT };
             let x = places(panel, width);
-            let y_name = if index == 0 { y_name } else { "" };
+            let y_name = if column == 0 { y_name } else { "" };
             let plot = Plot::new(surface, frame, (&x, &panel.name), (&y, y_name))?;
             let points: Vec<(f64, f64)> =
                 panel.points.iter().enumerate().map(|(i, p)| (i as f64, p.1)).collect();
@@ -64,10 +70,10 @@ pub(crate) fn panels(
     })
 }
 
-/// Values side by side whatever their distance: an axis of places, with as many labels as have room.
+/// Values at equal distances, whatever their differences: an axis of places, with as many labels as there is room for.
 fn places(panel: &Panel, width: f64) -> Axis {
     let count = panel.points.len().max(1);
-    let labels: Vec<String> = panel.points.iter().map(|point| gain(point.0)).collect();
+    let labels: Vec<String> = panel.points.iter().map(|point| short(point.0)).collect();
     let widest = labels.iter().map(|label| text_width(label)).fold(10.0, f64::max) + 6.0;
     let each = (widest * count as f64 / width).ceil().max(1.0) as usize;
     let ticks = labels
@@ -105,7 +111,7 @@ pub(crate) fn intervals(
 ) -> Result<Picture, ReportError> {
     const ROW: f64 = 24.0;
     let x = Axis::around(rows.iter().flat_map(|row| [row.mean, row.low, row.high]), 7);
-    // Rows are written from top to bottom, so that the axis runs upwards from the last one.
+    // Rows are drawn from top to bottom, so the axis runs upwards from the last one.
     let y = Axis { low: -0.7, high: rows.len() as f64 - 0.3, ticks: Vec::new() };
     let labels = rows.iter().map(|row| text_width(&row.label)).fold(0.0, f64::max) + 16.0;
     let look = Stroke { marker: Some(Marker::Disc), ..Stroke::solid(NAVY, 1.8) };

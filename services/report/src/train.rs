@@ -1,167 +1,188 @@
-//! What a training has come to: its table with the honest notes, how it learnt, and what noise makes of it.
+//! The result of a training: its table with notes on its limits, how it learnt, and the effect of noise.
 
 use std::collections::BTreeMap;
 
-use config::{Gains, RunConfig, Tuner};
+use config::{LawConfig, RunConfig};
 use maud::{Markup, html};
+use outcome::{Comparison, LearnerSummary, NoiseChoice, RunResult, TrainResult, Verdict};
 
 use crate::ReportError;
-use crate::axis::{Axis, gain, integer, number, optional};
-use crate::canvas::{HALF, Stroke};
+use crate::axis::{Axis, integer, number, optional, short};
+use crate::canvas::{HALF, Stroke, WIDE, text_width};
 use crate::chart::{Chart, Line};
-use crate::page::{GAIN_UNITS, Page, gain_cells, gain_heads, gains_text, table};
+use crate::episodes::{EPISODES_FILE, Episode};
+use crate::page::{
+    Page, parameter_cells, parameter_heads, parameter_title, parameters_text, symbol, table,
+};
 use crate::panels::{Interval, Panel, Shown, intervals, panels};
-use crate::result::{Finalist, Learner, NoiseOutcome, SetStanding, Train};
+use crate::standings::{Ranks, Row, objective_title, standings};
 
-/// Markers stand at every episode up to this many; beyond it they would hide the line.
+/// Up to this many episodes, each has a marker; more markers would hide the line.
 const MOST_MARKERS: usize = 60;
+/// The largest number of learners in one picture: that many lines can be distinguished in print.
+const MOST_LINES: usize = 30;
 
-/// Adds the sections of a training to the page.
+/// Adds the sections of a training to the page. `episodes` are those of each learner; `None` if the run left no file.
 pub(crate) fn sections(
     page: &mut Page,
-    train: &Train,
+    train: &TrainResult,
+    run: &RunResult,
+    episodes: Option<&[Vec<Episode>]>,
     config: &RunConfig,
 ) -> Result<(), ReportError> {
-    page.section("Result", result(train, config));
-    if train.learners.iter().any(|learner| !learner.episodes.is_empty()) {
-        let body = learning(page, &train.learners)?;
+    page.section("Result", result(train, run, episodes, config));
+    if let Some(episodes) = episodes.filter(|all| all.iter().any(|of| !of.is_empty())) {
+        let body = learning(page, train, episodes, config)?;
         page.section("Learning", body);
     }
-    let usage = usage(&train.learners);
+    if !train.learners.is_empty() {
+        page.section("Learners", learner_table(&train.learners, config));
+    }
+    let usage = usage(&train.learners, &config.law);
     if !usage.is_empty() {
-        let words = "Bars: how often each value of each gain was driven, over all learners.";
-        let picture = panels("gain-usage", words, "drives [count]", &usage, Shown::Bars)?;
+        let words = "Bars: how often each value of each parameter was driven, over all learners.";
+        let picture = panels("parameter-usage", words, "drives [count]", &usage, Shown::Bars)?;
         let figure = page.figure(
             picture,
-            "How often each value of each gain was driven, all learners together.",
+            "How often each value of each parameter was driven, all learners together.",
         );
-        page.section("Gain usage", html! { div.figures { (figure) } });
+        page.section("Parameter usage", html! { div.figures { (figure) } });
     }
     if let Some(noise) = &train.noise {
-        let body = under_noise(page, noise)?;
+        let body = under_noise(page, noise, train.grid.is_some(), config)?;
         page.section("Finalists under noise", body);
     }
     Ok(())
 }
 
-fn result(train: &Train, config: &RunConfig) -> Markup {
-    let tuner = match config.learning.tuner {
-        Tuner::EducatedQ => "tuned (educated Q)",
-        Tuner::Q => "tuned (Q)",
+fn result(
+    train: &TrainResult,
+    run: &RunResult,
+    episodes: Option<&[Vec<Episode>]>,
+    config: &RunConfig,
+) -> Markup {
+    let tuned = Row {
+        name: format!("tuned ({})", train.tuner),
+        gains: &train.gains,
+        measures: &train.measures,
+        ranks: train.grid.as_ref().map(Ranks::from).unwrap_or_default(),
+        on_bound: &train.on_bound,
     };
-    let standing = train.grid.as_ref();
-    let tuned = SetStanding {
-        gains: train.gains,
-        distance: train.distance,
-        mse_m2: train.mse_m2,
-        rank_distance: standing.and_then(|grid| grid.rank_distance),
-        rank_mse: standing.and_then(|grid| grid.rank_mse),
-    };
-    let size = standing.map(|grid| grid.size);
-    let rank = |rank: Option<u64>| match (rank, size) {
-        (Some(rank), Some(size)) => format!("{} / {}", integer(rank), integer(size)),
-        (Some(rank), None) => integer(rank),
-        (None, _) => "–".to_owned(),
-    };
-    let row = |name: &str, set: &SetStanding, on_bound: &[String]| {
-        let cells = Gains::NAMES.iter().zip(set.gains.to_array()).map(|(name, value)| {
-            let is_on_bound = on_bound.iter().any(|bound| bound == name);
-            html! {
-                td.number { @if is_on_bound { span.bound { (gain(value)) } span.mark { "†" } } @else { (gain(value)) } }
-            }
-        });
-        html! {
-            tr {
-                td { (name) }
-                @for cell in cells { (cell) }
-                td.number { (number(set.distance, 4)) }
-                td.number { (rank(set.rank_distance)) }
-                td.number { (number(set.mse_m2, 4)) }
-                td.number { (rank(set.rank_mse)) }
-            }
-        }
-    };
+    let rows = [
+        Some(tuned),
+        train.paper.as_ref().map(|set| Row::beside("the paper’s set", set)),
+        train.plain_q.as_ref().map(|it| Row::beside("plain Q beside it", &it.set)),
+        train.random_walk.as_ref().map(|it| Row::beside("random walk beside it", &it.set)),
+    ];
     html! {
-        (table(
-            html! { tr {
-                th {} (gain_heads())
-                th.number { "distance" } th.number { "rank" } th.number { "mse [m²]" } th.number { "rank" }
-            } },
-            html! {
-                (row(tuner, &tuned, &train.on_bound))
-                @if let Some(plain) = &train.plain_q { (row("plain Q beside it", &plain.set, &[])) }
-                @if let Some(paper) = &train.paper { (row("the paper’s set", paper, &[])) }
-            },
-        ))
-        (notes(train))
+        (standings(config, train.grid.as_ref().map(|grid| grid.size), rows.into_iter().flatten()))
+        (notes(train, run, config))
+        @match episodes {
+            None => p { "The run’s folder holds no " code { (EPISODES_FILE) } ", so the progress of the learners is not shown." },
+            Some(all) if all.iter().all(Vec::is_empty) => {
+                p { code { (EPISODES_FILE) } " holds no episode, so the progress of the learners is not shown." }
+            }
+            Some(_) => {}
+        }
     }
 }
 
 /// What the figures do and do not say.
-fn notes(train: &Train) -> Markup {
+fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
+    let RunResult { drives, run, .. } = run;
+    let count = |key: &str| run.recovery.get(key).and_then(|value| value.as_u64()).unwrap_or(0);
+    let objective = config.objective.name.as_str();
     html! {
         ul {
             @if let Some(grid) = &train.grid {
                 li {
-                    "Ranks are among all " (integer(grid.size)) " sets of the grid, noise-free"
-                    @if let (Some(distance), Some(mse)) = (grid.best_distance, grid.best_mse_m2) {
-                        "; its best: distance " (number(distance, 4)) ", mse " (number(mse, 4)) " m²"
-                    }
-                    "."
+                    "Ranks are among all " (integer(grid.size as u64)) " sets of the grid, noise-free; its best: "
+                    @if !["distance", "mse", "path"].contains(&objective) { (objective) " " (number(grid.best_value, 4)) ", " }
+                    "distance " (number(grid.best_distance, 4)) ", mse " (number(grid.best_mse_m2, 4))
+                    " m², mean distance from the path " (number(grid.best_path_mean_m, 3)) " m."
                 }
-                @if let Some(rank) = grid.rank_mean_distance {
-                    li { "By its mean distance under noise the tuned set has rank " (integer(rank)) " of " (integer(grid.size)) "." }
+                @if let Some(rank) = grid.rank_mean {
+                    li {
+                        "By its mean " (objective) " under noise the tuned set has rank " (integer(rank as u64)) " of "
+                        (integer(grid.size as u64)) "."
+                    }
+                }
+            } @else {
+                li {
+                    "There are no ranks: the grid takes more ticks than ranking.max_ticks ("
+                    (integer(config.ranking.max_ticks)) ") and was not driven."
                 }
             }
             @if !train.on_bound.is_empty() {
-                li { "† On a bound of the grid: " (train.on_bound.iter().map(|name| name.replacen('k', "K", 1)).collect::<Vec<_>>().join(", ")) "; better gains may lie beyond it." }
-            }
-            li {
-                "The distance is what the learner minimises. It hardly sees Kv, because the error along the track is not in it; "
-                "the mse is the paper’s figure of merit, which does. A set can be best by one and mediocre by the other."
-            }
-            @if let Some(drives) = &train.drives {
                 li {
-                    (integer(drives.asked)) " drives asked for"
-                    @if let Some(asked) = train.plain_q.as_ref().and_then(|plain| plain.asked) {
-                        " (" (integer(asked)) " by plain Q)"
-                    }
-                    ", " (integer(drives.driven)) " driven, " (integer(drives.reissued)) " again behind a crash"
-                    @if let Some(grid) = &train.grid { "; the grid holds " (integer(grid.size)) }
-                    "."
+                    "† On a bound of the grid: "
+                    (train.on_bound.iter().map(|key| symbol(&config.law, key)).collect::<Vec<_>>().join(", "))
+                    "; better values may lie beyond it."
                 }
             }
-            @if let Some(recovery) = train.recovery.as_ref().filter(|recovery| recovery.recoveries > 0) {
-                li { (integer(recovery.injected)) " faults injected, " (integer(recovery.recoveries)) " recoveries." }
+            li {
+                "The tuner minimises the objective: " (objective) " (" (config.objective.summary) "). "
+                @if objective == "distance" {
+                    "It does not contain the error along the track; the mse, the paper’s figure of merit, does. "
+                }
+                "A set can be best by one measure and mediocre by another."
             }
-            @if let (Some(vehicle), Some(wall), Some(factor)) = (train.vehicle_s, train.wall_s, train.real_time_factor) {
-                li { (number(vehicle, 0)) " s of driving in " (number(wall, 1)) " s: " (number(factor, 0)) " × real time." }
+            li {
+                "The yardstick for every law is the distance from the path: from the vehicle’s pose (the true one, "
+                "where it is known) to the nearest point of the path, as its mean, its 95th percentile and its largest value."
+            }
+            li {
+                (integer(drives.asked)) " drives asked for, " (integer(drives.driven)) " driven, "
+                (integer(run.drives.reissued)) " again after a crash"
+                @if let Some(grid) = &train.grid { "; the grid holds " (integer(grid.size as u64)) }
+                "."
+                @for (name, beside) in [("Plain Q", &train.plain_q), ("The random walk", &train.random_walk)] {
+                    @if let Some(beside) = beside {
+                        " " (name) " asked for " (integer(beside.asked)) ", " (integer(beside.distinct)) " of them different."
+                    }
+                }
+            }
+            @if count("recoveries") > 0 {
+                li { (integer(count("injected"))) " faults injected, " (integer(count("recoveries"))) " recoveries." }
+            }
+            li {
+                (number(run.vehicle_s, 0)) " s of driving in " (number(run.wall_s, 1)) " s: "
+                (number(run.real_time_factor, 0)) " × real time."
             }
         }
     }
 }
 
-fn learning(page: &mut Page, learners: &[Learner]) -> Result<Markup, ReportError> {
-    let longest = learners.iter().map(|learner| learner.episodes.len()).max().unwrap_or(0);
-    let lines = |height: &dyn Fn(&crate::result::Episode) -> Option<f64>| -> Vec<Line> {
+/// The name of a learner on the page: its learning rate, if it has one.
+fn name_of(index: usize, learner: &LearnerSummary) -> String {
+    match learner.alpha {
+        Some(alpha) => format!("α = {}", short(alpha)),
+        None => format!("learner {index}"),
+    }
+}
+
+fn learning(
+    page: &mut Page,
+    train: &TrainResult,
+    episodes: &[Vec<Episode>],
+    config: &RunConfig,
+) -> Result<Markup, ReportError> {
+    let longest = episodes.iter().map(Vec::len).max().unwrap_or(0);
+    let lines = |height: fn(&Episode) -> f64| -> Vec<Line> {
+        let learners = train.learners.iter().zip(episodes).enumerate().take(MOST_LINES);
         learners
-            .iter()
-            .enumerate()
-            .map(|(index, learner)| {
+            .map(|(index, (learner, episodes))| {
                 let mut look = Stroke::of_many(index);
                 if longest > MOST_MARKERS {
                     look.marker = None;
                 }
-                let points = learner
-                    .episodes
-                    .iter()
-                    .enumerate()
-                    .filter_map(|(episode, of)| Some(((episode + 1) as f64, height(of)?)));
-                Line::new(format!("α = {}", gain(learner.alpha)), points, look)
+                let points = episodes.iter().enumerate();
+                let points = points.map(|(place, of)| ((place + 1) as f64, height(of)));
+                Line::new(name_of(index, learner), points, look)
             })
             .collect()
     };
-    let chart = |name, words, y_name, lines: &[Line]| {
+    let chart = |name: &str, words: &str, y_name: &str, lines: &[Line]| {
         Chart {
             name,
             words,
@@ -176,142 +197,177 @@ fn learning(page: &mut Page, learners: &[Learner]) -> Result<Markup, ReportError
         }
         .draw()
     };
+    let which = if train.learners.len() > MOST_LINES {
+        format!("one line for each of the first {MOST_LINES} learners")
+    } else {
+        "one line for each learner".to_owned()
+    };
     let returns = chart(
         "learning-rewards",
-        "Sum of rewards of each episode, one line a learner.",
+        &format!("Sum of rewards of each episode, {which}."),
         "sum of rewards [no unit]",
-        &lines(&|episode| Some(episode.return_)),
+        &lines(|episode| episode.return_),
     )?;
-    let returns = page.figure(returns, "Sum of rewards per episode, one line a learner.");
-    let ends = lines(&|episode| episode.distances.last().copied());
-    let distances = if ends.iter().any(|line| !line.points.is_empty()) {
-        let picture = chart(
-            "learning-distances",
-            "Distance at the end of each episode, one line a learner.",
-            "distance at the end [m]",
-            &ends,
-        )?;
-        Some(page.figure(
-            picture,
-            "Distance to the goal at the end of each episode, one line a learner.",
-        ))
-    } else {
-        None
-    };
+    let returns = page.figure(returns, &format!("Sum of rewards per episode, {which}."));
+    let objective = &config.objective.name;
+    let values = chart(
+        "learning-values",
+        &format!("Objective ({objective}) at the end of each episode, {which}."),
+        &objective_title(config),
+        &lines(|episode| episode.last_value),
+    )?;
+    let values = page.figure(
+        values,
+        &format!("The objective ({objective}) in the last step of each episode, {which}."),
+    );
     Ok(html! {
         div.figures { (returns) }
-        p {
-            "The sum of an episode’s rewards telescopes to 1/(1 + d" sub { "end" } ") − 1/(1 + d" sub { "start" }
-            "), less penalties: it tells its two ends and nothing between them, so that a flat curve proves nothing."
+        @if train.learners.iter().any(|learner| learner.alpha.is_some()) {
+            p {
+                "The sum of an episode’s rewards telescopes to 1/(1 + v" sub { "end" } ") − 1/(1 + v" sub { "start" }
+                "), v being the objective, less penalties: it depends only on the two ends of the episode, so that a flat "
+                "curve proves nothing."
+            }
         }
-        @if let Some(distances) = distances { div.figures { (distances) } }
-        (learner_table(learners))
+        div.figures { (values) }
     })
 }
 
-fn learner_table(learners: &[Learner]) -> Markup {
+fn learner_table(learners: &[LearnerSummary], config: &RunConfig) -> Markup {
+    let law = &config.law;
+    let locked = |learner: &LearnerSummary| {
+        let locked = learner.locked.iter();
+        let texts: Vec<_> =
+            locked.map(|(key, value)| format!("{} {}", symbol(law, key), short(*value))).collect();
+        if texts.is_empty() { "–".to_owned() } else { texts.join(", ") }
+    };
     table(
         html! { tr {
-            th.number { "α" } (gain_heads()) th { "locked" }
-            th.number { "episodes" } th.number { "ended by a terminal state" } th.number { "steps" }
+            th { "learner" } (parameter_heads(law)) th { "locked" }
+            th.number { "episodes" } th.number { "ended by a terminal state" } th.number { "drives" }
+            th.number { "best " (objective_title(config)) }
         } },
         html! {
-            @for learner in learners {
+            @for (index, learner) in learners.iter().enumerate() {
                 tr {
-                    td.number { (gain(learner.alpha)) }
-                    (gain_cells(&learner.gains))
-                    td {
-                        @if learner.locked.is_empty() { "–" }
-                        @for (index, (name, value)) in learner.locked.iter().enumerate() {
-                            @if index > 0 { ", " }
-                            (name) " " (gain(*value))
-                        }
-                    }
-                    td.number { (learner.episodes.len()) }
-                    td.number { (learner.episodes.iter().filter(|episode| episode.terminated).count()) }
-                    td.number { (integer(learner.episodes.iter().map(|episode| episode.steps).sum())) }
+                    td { (name_of(index, learner)) }
+                    (parameter_cells(law, &learner.gains))
+                    td { (locked(learner)) }
+                    td.number { (integer(learner.episodes.into())) }
+                    td.number { (integer(learner.terminated.into())) }
+                    td.number { (integer(learner.drives.into())) }
+                    td.number { (optional(learner.best, 4)) }
                 }
             }
         },
     )
 }
 
-/// Counts of each value of each gain, over all learners.
-fn usage(learners: &[Learner]) -> Vec<Panel> {
+/// Counts of each value of each parameter, over all learners.
+fn usage(learners: &[LearnerSummary], law: &LawConfig) -> Vec<Panel> {
     let mut panels = Vec::new();
-    for (name, title) in Gains::NAMES.iter().zip(GAIN_UNITS) {
+    for parameter in &law.parameters {
         // Values come from one grid: the same value has the same bits in every learner.
         let mut counts: BTreeMap<u64, (f64, f64)> = BTreeMap::new();
-        let uses = learners.iter().filter_map(|learner| learner.usage.as_ref()?.get(*name));
+        let uses = learners.iter().filter_map(|learner| learner.usage.get(&parameter.key));
         for used in uses.flatten() {
-            counts.entry(used.value.to_bits()).or_insert((used.value, 0.0)).1 += used.count;
+            let count = counts.entry(used.value.to_bits()).or_insert((used.value, 0.0));
+            count.1 += used.count as f64;
         }
         let mut points: Vec<_> = counts.into_values().collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         if !points.is_empty() {
-            panels.push(Panel { name: title.to_owned(), points });
+            panels.push(Panel { name: parameter_title(parameter), points });
         }
     }
     panels
 }
 
-fn under_noise(page: &mut Page, noise: &NoiseOutcome) -> Result<Markup, ReportError> {
-    let figure = if noise.finalists.is_empty() {
+fn under_noise(
+    page: &mut Page,
+    noise: &NoiseChoice,
+    has_ranks: bool,
+    config: &RunConfig,
+) -> Result<Markup, ReportError> {
+    let law = &config.law;
+    let title = objective_title(config);
+    let finalists = &noise.finalists;
+    let figure = if finalists.is_empty() {
         None
     } else {
-        let rows: Vec<Interval> = noise
-            .finalists
+        let mut labels: Vec<String> =
+            finalists.iter().map(|finalist| parameters_text(law, &finalist.gains)).collect();
+        // The names of many parameters would leave no room for the intervals; they are in the table.
+        if labels.iter().any(|label| text_width(label) > 0.4 * WIDE) {
+            labels = (1..=labels.len()).map(|place| format!("finalist {place}")).collect();
+        }
+        let rows: Vec<Interval> = finalists
             .iter()
-            .map(|Finalist { gains, mean_distance, low, high, .. }| Interval {
-                label: gains_text(gains),
-                mean: *mean_distance,
-                low: *low,
-                high: *high,
+            .zip(labels)
+            .map(|(finalist, label)| Interval {
+                label,
+                mean: finalist.mean_value,
+                low: finalist.low,
+                high: finalist.high,
             })
             .collect();
-        let words = "Mean distance of each finalist under noise, with its interval.";
-        let picture = intervals("finalists", words, "mean distance [m]", &rows)?;
-        Some(page.figure(picture, "The finalists under noise: mean distance with its interval."))
+        let words = "Mean objective of each finalist under noise, with its interval.";
+        let picture = intervals("finalists", words, &format!("mean {title}"), &rows)?;
+        let caption = format!(
+            "The finalists under noise: mean {} with its 95 % interval.",
+            config.objective.name
+        );
+        Some(page.figure(picture, &caption))
     };
     Ok(html! {
-        @if noise.repeats.is_some() || noise.holdout.is_some() {
-            p {
-                "Each finalist was driven again under noise"
-                @if let Some(repeats) = noise.repeats { ", " (integer(repeats)) " times" }
-                ", each time with the same noise for all of them, and the best mean was chosen."
-                @if let Some(holdout) = noise.holdout {
-                    " Its rank by the mean distance is over " (integer(holdout)) " other noise seeds."
-                }
-                " The drive gear was engaged from the start, unless the configuration says otherwise; so even the "
-                "noise-free figures are not those of a validation."
-            }
+        p {
+            "Each finalist was driven again under noise, " (integer(noise.repeats))
+            " times, each time with the same noise for all of them, and the set with the best mean was chosen."
+            @if has_ranks { " Its rank by the mean is over " (integer(noise.holdout.into())) " other noise seeds." }
+            " The drive gear was engaged from the start, unless the configuration says otherwise; therefore even the "
+            "noise-free figures differ from those of a validation."
         }
-        @if let Some(against) = &noise.against_paper {
-            p {
-                "Tuned less the paper’s set, mean distance: " (number(against.difference, 4))
-                " (from " (number(against.low, 4)) " to " (number(against.high, 4)) "): "
-                b { (against.verdict) } "."
-                @if against.verdict == "undecided" { " The interval holds 0: neither is shown to be better." }
-            }
-        }
+        @if let Some(against) = &noise.against_paper { (comparison("the paper’s set", against, config)) }
+        (comparison("the set that the tuner recommends by single drives", &noise.against_recommended, config))
         @if let Some(figure) = figure {
             div.figures { (figure) }
             (table(
                 html! { tr {
-                    (gain_heads()) th.number { "mean distance" } th.number { "from" } th.number { "to" } th.number { "visits" }
+                    th { "finalist" } (parameter_heads(law))
+                    th.number { "mean " (title) } th.number { "from" } th.number { "to" } th.number { "visits" }
                 } },
                 html! {
-                    @for finalist in &noise.finalists {
+                    @for (index, finalist) in finalists.iter().enumerate() {
                         tr {
-                            (gain_cells(&finalist.gains))
-                            td.number { (number(finalist.mean_distance, 4)) }
+                            td { (index + 1) }
+                            (parameter_cells(law, &finalist.gains))
+                            td.number { (number(finalist.mean_value, 4)) }
                             td.number { (number(finalist.low, 4)) }
                             td.number { (number(finalist.high, 4)) }
-                            td.number { (optional(finalist.visits.map(|visits| visits as f64), 0)) }
+                            td.number { (integer(finalist.visits.into())) }
                         }
                     }
                 },
             ))
         }
     })
+}
+
+/// What a paired difference says about the tuned set.
+fn comparison(other: &str, against: &Comparison, config: &RunConfig) -> Markup {
+    let (verdict, why) = match against.verdict {
+        Verdict::Better => ("better", "."),
+        Verdict::Worse => ("worse", "."),
+        Verdict::Undecided => {
+            ("undecided", ". The interval contains 0: neither is shown to be better.")
+        }
+    };
+    html! {
+        p {
+            "Tuned less " (other) " (" (parameters_text(&config.law, &against.gains)) "), mean "
+            (config.objective.name) ": " (number(against.difference, 4))
+            " (from " (number(against.low, 4)) " to " (number(against.high, 4)) "): "
+            b { (verdict) } (why)
+        }
+    }
 }

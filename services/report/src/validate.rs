@@ -1,48 +1,58 @@
-//! A validation: the paper's table beside ours.
+//! A validation: the paper's table next to ours.
 
-use config::{Gains, RunConfig};
+use config::RunConfig;
 use maud::{Markup, html};
+use outcome::{ValidateResult, ValidatedRow};
 
-use crate::axis::{gain, integer, number, optional};
-use crate::page::{Page, gain_cells, gain_heads, table};
-use crate::result::{Validate, ValidateRow};
+use crate::axis::{integer, number, optional};
+use crate::page::{Page, parameter_cells_of_all, parameter_heads, table};
+use crate::standings::{
+    PATH_GROUP, arrived, is_objective, objective_title, path_cells, path_heads,
+};
+use crate::switches::{SwitchesOf, switch_table};
 
 /// Adds the sections of a validation to the page.
-pub(crate) fn sections(page: &mut Page, validate: &Validate, config: &RunConfig) {
-    let has_noisy = validate.rows.iter().any(|row| row.noisy.is_some());
+pub(crate) fn sections(page: &mut Page, validate: &ValidateResult, config: &RunConfig) {
+    let rows = &validate.rows;
+    let has_paper = rows
+        .iter()
+        .any(|row| row.noise_free.paper_mse_m2.is_some() || row.noisy.paper_mse_m2.is_some());
+    let title = if has_paper { "The paper’s table, and ours" } else { "With noise and without" };
     page.section(
-        "The paper’s table, and ours",
+        title,
         html! {
-            (beside(&validate.rows, has_noisy))
-            (notes(validate, has_noisy))
+            (beside(rows, config, has_paper))
+            (notes(validate))
             h3 { "More about the noise-free drives" }
-            (more(&validate.rows))
+            (noise_free(rows, config))
+            h3 { "More about the noisy drives" }
+            (noisy(rows, config))
         },
     );
-    if validate.rows.iter().any(|row| !row.switches.is_empty()) {
-        page.section("Changes of gains on the way", switches(&validate.rows, config));
+    if rows.iter().any(|row| !row.switches.is_empty()) {
+        let drives: Vec<_> = rows
+            .iter()
+            .enumerate()
+            .map(|(index, row)| SwitchesOf {
+                name: name_of(index, row),
+                is_chosen: row.chosen_by_paper,
+                switches: &row.switches,
+            })
+            .collect();
+        page.section("Changes of parameters during the drive", switch_table(config, &drives));
     }
 }
 
-/// The sets of a row, one line a manoeuvre of the path.
-fn sets(gains: &[Gains]) -> Markup {
-    html! {
-        @for axis in 0..4 {
-            td.number {
-                @for (index, set) in gains.iter().enumerate() {
-                    @if index > 0 { br; }
-                    (gain(set.to_array()[axis]))
-                }
-            }
-        }
-    }
+fn name_of(index: usize, row: &ValidatedRow) -> String {
+    format!("{}{}", index + 1, if row.chosen_by_paper { " ★" } else { "" })
 }
 
-fn row_of(index: usize, row: &ValidateRow, cells: Markup) -> Markup {
+/// One row of a table: its name, its sets (one line for each manoeuvre of the path), and its other cells.
+fn row_of(config: &RunConfig, index: usize, row: &ValidatedRow, cells: Markup) -> Markup {
     html! {
         tr class=[row.chosen_by_paper.then_some("chosen")] {
-            td { (index + 1) @if row.chosen_by_paper { " ★" } }
-            (sets(&row.gains))
+            td { (name_of(index, row)) }
+            (parameter_cells_of_all(&config.law, &row.gains))
             (cells)
         }
     }
@@ -52,45 +62,49 @@ fn factor(factor: Option<f64>) -> String {
     factor.map_or_else(|| "–".to_owned(), |factor| format!("× {}", number(factor, 2)))
 }
 
-fn beside(rows: &[ValidateRow], has_noisy: bool) -> Markup {
+fn beside(rows: &[ValidatedRow], config: &RunConfig, has_paper: bool) -> Markup {
+    let paper_heads = html! {
+        @if has_paper { th.number { "paper" } th.number { "ours ÷ paper" } }
+    };
+    let paper_cells = |mse_m2: Option<f64>, by: Option<f64>| {
+        html! {
+            @if has_paper { td.number { (optional(mse_m2, 3)) } td.number { (factor(by)) } }
+        }
+    };
+    let papers = if has_paper { 2 } else { 0 };
     table(
         html! {
             tr {
-                th {} th.group colspan="4" { "gains" }
-                th.group colspan="3" { "noise-free mse [m²]" }
-                @if has_noisy { th.group colspan="5" { "noisy mse [m²]" } }
+                th {} th.group colspan=(config.law.count()) { "parameters" }
+                th.group colspan=(1 + papers) { "noise-free mse [m²]" }
+                th.group colspan=(3 + papers) { "noisy mse [m²]" }
+                th.group colspan="3" { (PATH_GROUP) ", noise-free" }
             }
             tr {
-                th { "row" } (gain_heads())
-                th.number { "ours" } th.number { "paper" } th.number { "ours ÷ paper" }
-                @if has_noisy {
-                    th.number { "ours, mean" } th.number { "from – to" } th.number { "worst" }
-                    th.number { "paper" } th.number { "ours ÷ paper" }
-                }
+                th { "row" } (parameter_heads(&config.law))
+                th.number { "ours" } (paper_heads)
+                th.number { "ours, mean" } th.number { "from – to" } th.number { "worst" } (paper_heads)
+                (path_heads())
             }
         },
         html! {
             @for (index, row) in rows.iter().enumerate() {
-                (row_of(index, row, html! {
-                    td.number { (number(row.noise_free.mse_m2, 3)) }
-                    td.number { (optional(row.noise_free.paper_mse_m2, 3)) }
-                    td.number { (factor(row.noise_free.factor)) }
-                    @if let Some(noisy) = &row.noisy {
-                        td.number { (number(noisy.mse_m2_mean, 3)) }
-                        td.number { (optional(noisy.mse_m2_low, 3)) " – " (optional(noisy.mse_m2_high, 3)) }
-                        td.number { (optional(noisy.mse_m2_worst, 3)) }
-                        td.number { (optional(noisy.paper_mse_m2, 3)) }
-                        td.number { (factor(noisy.factor)) }
-                    } @else if has_noisy {
-                        @for _ in 0..5 { td.number { "–" } }
-                    }
+                @let (free, noisy) = (&row.noise_free, &row.noisy);
+                (row_of(config, index, row, html! {
+                    td.number { (number(free.measures.mse_m2, 3)) }
+                    (paper_cells(free.paper_mse_m2, free.factor))
+                    td.number { (number(noisy.mse_m2_mean, 3)) }
+                    td.number { (number(noisy.mse_m2_low, 3)) " – " (number(noisy.mse_m2_high, 3)) }
+                    td.number { (number(noisy.mse_m2_worst, 3)) }
+                    (paper_cells(noisy.paper_mse_m2, noisy.factor))
+                    (path_cells(&free.measures))
                 }))
             }
         },
     )
 }
 
-fn notes(validate: &Validate, has_noisy: bool) -> Markup {
+fn notes(validate: &ValidateResult) -> Markup {
     let most = validate.rows.iter().map(|row| row.gains.len()).max().unwrap_or(0);
     html! {
         ul {
@@ -99,56 +113,76 @@ fn notes(validate: &Validate, has_noisy: bool) -> Markup {
             @if let Some(rms) = validate.rms_factor {
                 li { "Over all rows our mse differs from the paper’s by a factor of " (number(rms, 2)) ", root mean square." }
             }
-            @if let Some(repeats) = validate.repeats.filter(|_| has_noisy) {
-                li { "Noisy figures are those of " (integer(repeats)) " drives a row, each with a noise of its own." }
+            li { "Noisy figures are from " (integer(validate.repeats)) " drives for each row, each with its own noise." }
+            li {
+                "The mse is that of the error against the moving reference. The distance from the path is the distance of the "
+                "vehicle’s pose (the true one, where it is known) to the nearest point of the path."
             }
         }
     }
 }
 
-fn more(rows: &[ValidateRow]) -> Markup {
+fn noise_free(rows: &[ValidatedRow], config: &RunConfig) -> Markup {
+    let shows_distance = !is_objective(config, "distance");
     table(
-        html! { tr {
-            th { "row" } (gain_heads())
-            th.number { "along [m²]" } th.number { "cross [m²]" } th.number { "distance" }
-            th.number { "largest cross-track error [m]" } th.number { "steering limited" } th.number { "collisions" }
-            @if rows.iter().any(|row| row.noisy.is_some()) { th.number { "noisy collisions" } }
-        } },
+        html! {
+            tr {
+                th {} th.group colspan=(config.law.count()) { "parameters" }
+                th.group { "objective" }
+                @if shows_distance { th.group { "the paper’s distance" } }
+                th.group colspan="2" { "mse [m²]" }
+                th.group { "cross-track error [m]" }
+                th.group colspan="4" { "drive" }
+            }
+            tr {
+                th { "row" } (parameter_heads(&config.law))
+                th.number { (objective_title(config)) }
+                @if shows_distance { th.number { "[m]" } }
+                th.number { "along" } th.number { "across" }
+                th.number { "largest" }
+                th.number { "steering limited" } th.number { "driven" } th { "arrived" } th { "collided" }
+            }
+        },
         html! {
             @for (index, row) in rows.iter().enumerate() {
-                (row_of(index, row, html! {
-                    @let drive = &row.noise_free;
-                    td.number { (optional(drive.along_m2, 3)) }
-                    td.number { (optional(drive.cross_m2, 3)) }
-                    td.number { (optional(drive.distance, 4)) }
-                    td.number { (optional(drive.max_cross_track_m, 3)) }
-                    td.number { (drive.steering_limited.map_or_else(|| "–".to_owned(), |share| format!("{} %", number(share * 100.0, 1)))) }
-                    td.number { (drive.collisions.map_or_else(|| "–".to_owned(), integer)) }
-                    @if rows.iter().any(|row| row.noisy.is_some()) {
-                        td.number { (row.noisy.as_ref().and_then(|noisy| noisy.collisions).map_or_else(|| "–".to_owned(), integer)) }
-                    }
+                @let drive = &row.noise_free;
+                (row_of(config, index, row, html! {
+                    td.number { (number(drive.measures.value, 4)) }
+                    @if shows_distance { td.number { (number(drive.measures.distance, 4)) } }
+                    td.number { (number(drive.along_m2, 3)) }
+                    td.number { (number(drive.cross_m2, 3)) }
+                    td.number { (number(drive.max_cross_track_m, 3)) }
+                    td.number { (number(drive.steering_limited * 100.0, 1)) " %" }
+                    td.number { (number(drive.driven * 100.0, 0)) " %" }
+                    td { (arrived(&drive.measures)) }
+                    td { @if drive.collisions > 0 { "yes" } @else { "no" } }
                 }))
             }
         },
     )
 }
 
-fn switches(rows: &[ValidateRow], config: &RunConfig) -> Markup {
+fn noisy(rows: &[ValidatedRow], config: &RunConfig) -> Markup {
     table(
-        html! { tr {
-            th { "row" } th.number { "time [s]" } th.number { "zone" } th { "manoeuvre" } (gain_heads())
-        } },
+        html! {
+            tr {
+                th {} th.group colspan=(config.law.count()) { "parameters" }
+                th.group colspan="2" { (PATH_GROUP) }
+                th {}
+            }
+            tr {
+                th { "row" } (parameter_heads(&config.law))
+                th.number { "mean of all" } th.number { "largest of all" }
+                th.number { "collisions" }
+            }
+        },
         html! {
             @for (index, row) in rows.iter().enumerate() {
-                @for switch in &row.switches {
-                    tr class=[row.chosen_by_paper.then_some("chosen")] {
-                        td { (index + 1) @if row.chosen_by_paper { " ★" } }
-                        td.number { (number(switch.tick as f64 * config.drive.tick_s, 2)) }
-                        td.number { (switch.zone + 1) }
-                        td { (switch.name) }
-                        (gain_cells(&switch.gains))
-                    }
-                }
+                (row_of(config, index, row, html! {
+                    td.number { (number(row.noisy.path_mean_m, 3)) }
+                    td.number { (number(row.noisy.path_max_m, 3)) }
+                    td.number { (integer(row.noisy.collisions.into())) }
+                }))
             }
         },
     )

@@ -2,12 +2,14 @@
 
 mod support;
 
+use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use report::write_report;
 use roxmltree::Document;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 /// A run of one kind in a folder of its own, and its page.
@@ -66,7 +68,7 @@ fn check_page(run: &Path, html: &str) -> Result<()> {
     // The page is XML but for its void elements and its document type.
     let body = html.split_once("<body>").context("no body")?.1;
     let body = body.split_once("</body>").context("no end")?.0.replace("<br>", "<br/>");
-    Document::parse(&body)?;
+    check_tables(&Document::parse(&body)?)?;
 
     for (name, svg) in pictures(run)? {
         assert!(html.contains(svg.trim_end()), "{name} is on the page");
@@ -77,6 +79,23 @@ fn check_page(run: &Path, html: &str) -> Result<()> {
         for line in points_of_lines(&svg)? {
             assert!(line.len() <= 1500, "{name}: {} points", line.len());
         }
+    }
+    Ok(())
+}
+
+/// Every row of a table has as many columns as the others.
+fn check_tables(page: &Document) -> Result<()> {
+    for table in page.descendants().filter(|node| node.has_tag_name("table")) {
+        let mut widths = Vec::new();
+        for row in table.descendants().filter(|node| node.has_tag_name("tr")) {
+            let mut width = 0;
+            for cell in row.children().filter(|node| node.is_element()) {
+                width += cell.attribute("colspan").unwrap_or("1").parse::<usize>()?;
+            }
+            widths.push(width);
+        }
+        let text: String = table.descendants().filter_map(|node| node.text()).collect();
+        assert!(widths.iter().all(|width| *width == widths[0]), "{widths:?}: {text}");
     }
     Ok(())
 }
@@ -140,12 +159,20 @@ fn a_training_shows_every_section() -> Result<()> {
     for section in [
         "<h1>lane change: training</h1>",
         "<h2>Result</h2>",
-        "tuned (educated Q)",
+        "tuned (educated-q)",
+        "the paper’s set",
         "plain Q beside it",
+        "random walk beside it",
+        "distance from the path [m]",
+        "<td class=\"number\">0.080</td><td class=\"number\">0.191</td><td class=\"number\">0.247</td>",
+        "98 / 750",
         "† On a bound of the grid: Ks",
+        "Kl [rad/(m·s)]",
+        "paper (the paper",
         "<h2>Learning</h2>",
         "a flat curve proves nothing",
-        "<h2>Gain usage</h2>",
+        "<td>Ks 21</td>",
+        "<h2>Parameter usage</h2>",
         "<h2>Finalists under noise</h2>",
         "<b>undecided</b>",
         "<h2>Drives: tuned</h2>",
@@ -160,14 +187,14 @@ fn a_training_shows_every_section() -> Result<()> {
         names,
         [
             "finalists.svg",
-            "gain-usage.svg",
-            "learning-distances.svg",
             "learning-rewards.svg",
+            "learning-values.svg",
             "paper-angular-velocity.svg",
             "paper-heading-error.svg",
             "paper-position-errors.svg",
             "paper-trajectory.svg",
             "paper-velocity.svg",
+            "parameter-usage.svg",
             "tuned-angular-velocity.svg",
             "tuned-heading-error.svg",
             "tuned-position-errors.svg",
@@ -186,7 +213,8 @@ fn a_validation_shows_both_tables_and_the_zones() -> Result<()> {
         "<h1>circuit: validation</h1>",
         "<td>3 ★</td>",
         "★ The row that the paper chose.",
-        "<h2>Changes of gains on the way</h2>",
+        "distance from the path [m]",
+        "<h2>Changes of parameters during the drive</h2>",
         "2 roundabout from 12 m",
         "<h2>Drives: chosen</h2>",
     ] {
@@ -199,9 +227,27 @@ fn a_validation_shows_both_tables_and_the_zones() -> Result<()> {
 fn a_grid_shows_ranks_flatness_and_effects() -> Result<()> {
     let (_folder, run, html) = written("grid", support::grid)?;
     check_page(&run, &html)?;
-    for section in ["By distance", "By mse", "113 / 750", "18 (2.4 %)", "<h2>Main effects</h2>"] {
+    for section in [
+        "By distance, the objective",
+        "By mse",
+        "By mean distance from the path",
+        "113 / 750",
+        "18 (2.4 %)",
+        "<h2>Main effects</h2>",
+    ] {
         assert!(html.contains(section), "{section}");
     }
+    let names: Vec<String> = pictures(&run)?.into_iter().map(|picture| picture.0).collect();
+    assert_eq!(
+        names,
+        [
+            "effects-mse.svg",
+            "effects-path.svg",
+            "effects-value.svg",
+            "sorted-path.svg",
+            "sorted-values.svg",
+        ]
+    );
     assert!(!html.contains("<h2>Drives"), "no drive was recorded");
     Ok(())
 }
@@ -239,23 +285,116 @@ fn a_second_report_replaces_the_first() -> Result<()> {
     Ok(())
 }
 
+/// Writes a run's result again, with something changed.
+fn change_result(run: &Path, change: impl FnOnce(&mut Value)) -> Result<()> {
+    let path = run.join("result.json");
+    let mut result: Value = serde_json::from_str(&fs::read_to_string(&path)?)?;
+    change(&mut result);
+    fs::write(path, serde_json::to_string(&result)?)?;
+    Ok(())
+}
+
 #[test]
-fn what_older_runs_lack_is_left_out() -> Result<()> {
+fn what_a_run_lacks_is_left_out() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let run = folder.path();
+    support::train(run)?;
+    fs::remove_dir_all(run.join("drives"))?;
+    fs::remove_file(run.join("episodes.csv"))?;
+    change_result(run, |result| {
+        for key in ["grid", "paper", "plain_q", "random_walk", "noise"] {
+            result[key] = Value::Null;
+        }
+        result["learners"] = json!([]);
+    })?;
+    let html = fs::read_to_string(write_report(run)?)?;
+    check_page(run, &html)?;
+    for absent in [
+        "<h2>Learning",
+        "<h2>Parameter usage",
+        "<h2>Finalists",
+        "the paper’s set</td>",
+        "plain Q",
+        "random walk",
+        ">rank<",
+        "<svg",
+    ] {
+        assert!(!html.contains(absent), "{absent}");
+    }
+    for present in [
+        "holds no <code>episodes.csv</code>",
+        "takes more ticks than ranking.max_ticks (20\u{202f}000\u{202f}000) and was not driven",
+    ] {
+        assert!(html.contains(present), "{present}");
+    }
+    Ok(())
+}
+
+#[test]
+fn a_grid_without_its_sets_says_so() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let run = folder.path();
     support::grid(run)?;
-    let gains = r#"{"kv": 1, "kl": 1, "ks": 1, "ki": 0.7}"#;
-    let result = format!(
-        r#"{{"gains": {gains}, "distance": 1, "mse_m2": 2, "paper": null, "learners": []}}"#
-    );
-    fs::write(run.join("result.json"), result)?;
+    fs::remove_file(run.join("grid.csv"))?;
     let html = fs::read_to_string(write_report(run)?)?;
     check_page(run, &html)?;
-    for absent in
-        ["<h2>Learning", "<h2>Gain usage", "<h2>Finalists", "the paper’s set</td>", "<svg"]
-    {
-        assert!(!html.contains(absent), "{absent}");
+    assert!(html.contains("holds no <code>grid.csv</code>"));
+    assert!(!run.join("report/sorted-values.svg").exists());
+    Ok(())
+}
+
+/// One line of the picture has 100,000 episodes before it is made shorter.
+#[test]
+fn very_many_episodes_are_drawn_with_few_points() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let run = folder.path();
+    support::train(run)?;
+    fs::remove_dir_all(run.join("drives"))?;
+    let mut text = String::from("learner,episode,steps,return,last_value,terminated,kv,kl,ks,ki\n");
+    for episode in 0..100_000 {
+        writeln!(text, "{},{},1,0.25,{},false,,,,", episode % 5, episode / 5, episode % 97)?;
     }
+    fs::write(run.join("episodes.csv"), text)?;
+    let html = fs::read_to_string(write_report(run)?)?;
+    check_page(run, &html)?;
+    let texts = texts(&fs::read_to_string(run.join("report/learning-values.svg"))?)?;
+    assert!(texts.contains(&"20000".to_owned()), "{texts:?}");
+    Ok(())
+}
+
+#[test]
+fn a_single_drive_shows_its_measures() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let run = folder.path();
+    support::train(run)?;
+    change_result(run, |result| {
+        result["kind"] = json!("drive");
+        result["gains"] = json!([{ "kv": 3.0, "kl": 21.0, "ks": 21.0, "ki": 0.7 }]);
+        result["reason"] = json!("goal");
+        result["arrived"] = json!(true);
+        result["true_poses"] = json!(true);
+        result["joined"] = json!(false);
+        result["switches"] = json!([]);
+        for (key, value) in [
+            ("driven_s", 4.5),
+            ("progress", 0.98),
+            ("along_m2", 1.4),
+            ("cross_m2", 0.06),
+            ("mean_abs_cross_track_m", 0.31),
+            ("max_cross_track_m", 1.23),
+            ("steering_travel_radps", 0.2),
+            ("lateral_acceleration_max_mps2", 1.9),
+        ] {
+            result[key] = json!(value);
+        }
+    })?;
+    let html = fs::read_to_string(write_report(run)?)?;
+    check_page(run, &html)?;
+    for part in ["<h1>lane change: drive</h1>", "cross-track error [m]", "1.230", "ended by: goal"]
+    {
+        assert!(html.contains(part), "{part}");
+    }
+    assert!(!html.contains("off the path"));
     Ok(())
 }
 
@@ -267,7 +406,7 @@ fn texts_of_files_cannot_become_markup() -> Result<()> {
     let result = fs::read_to_string(run.join("result.json"))?;
     let result = result
         .replace("\"lane_change\"", "\"<b>&\\\"<script>\"")
-        .replace("\"undecided\"", "\"</p><script>\"")
+        .replace("\"educated-q\"", "\"</p><script>\"")
         .replace("5045d6f8", "<script>&");
     fs::write(run.join("result.json"), result)?;
     let drives = run.join("drives");
@@ -338,13 +477,34 @@ fn errors_are_one_line_and_name_the_place() -> Result<()> {
     check_error("config.toml", None, &["holds no config.toml"])?;
     check_error("config.toml", Some("seed = \n"), &["config.toml"])?;
     check_error("result.json", Some("{\n\"kind\": \n"), &["result.json:", "EOF"])?;
-    check_error("result.json", Some("{\"kind\": \"dream\"}"), &["\"dream\" is none of"])?;
-    check_error("result.json", Some("{\"mse_m2\": 1}"), &["result.json", "missing field `gains`"])?;
+    check_error("result.json", Some("{\"mse_m2\": 1}"), &["result.json", "schema: is missing"])?;
     check_error(
         "result.json",
-        Some(r#"{"kind": "validate", "rows": [{"gains": [], "noise_free": {"mse_m2": "x"}}]}"#),
-        &["rows[0].noise_free.mse_m2: invalid type"],
+        Some("{\"schema\": 3}"),
+        &["result.json", "this version of pathtune reads 2"],
     )?;
+    let grid = include_str!("fixtures/grid.json");
+    let dream = grid.replace("\"kind\": \"grid\"", "\"kind\": \"dream\\ning\"");
+    check_error("result.json", Some(&dream), &["result.json", "dream"])?;
+    let nameless = grid.replace("\"size\"", "\"sise\"");
+    check_error("result.json", Some(&nameless), &["result.json", "missing field `size`"])?;
+    let wordy = grid.replace("\"rank_mse\": 597", "\"rank_mse\": \"x\"");
+    check_error("result.json", Some(&wordy), &["result.json", "invalid type: string \"x\""])?;
+    let set = "1,1,1,1,0.8,0.8,1.4,0.1,0.2,0.3,false\n";
+    let sets = |rows: &str| {
+        format!(
+            "kv,kl,ks,ki,value,distance,mse_m2,path_mean_m,path_p95_m,path_max_m,arrived\n{rows}"
+        )
+    };
+    check_error("grid.csv", Some(""), &["grid.csv", "holds 0 sets", "750"])?;
+    check_error("grid.csv", Some(&sets(set)), &["grid.csv", "holds 1 sets"])?;
+    check_error("grid.csv", Some(&sets(&format!("{set}1,2\n"))), &["grid.csv:3", "2 values"])?;
+    check_error(
+        "grid.csv",
+        Some(&sets(&set.replace("0.8,0.8", "x,0.8"))),
+        &["grid.csv:2", "value"],
+    )?;
+    check_error("grid.csv", Some("kv\n1\n"), &["grid.csv:2", "missing field `value`"])?;
     let file = "drives/a.csv";
     check_error(file, Some(""), &["a.csv", "no tick"])?;
     check_error(file, Some(HEADER), &["a.csv", "no tick"])?;
@@ -354,5 +514,46 @@ fn errors_are_one_line_and_name_the_place() -> Result<()> {
     check_error(file, Some(&drive("0,0,0,NaN,0,0,0,0,0,0,0,0\n")), &["a.csv:2", "speed_mps: NaN"])?;
     check_error(file, Some(&drive("0,0,inf,0,0,0,0,0,0,0,0,0\n")), &["a.csv:2", "y_m: inf"])?;
     check_error(file, Some(&drive("0,0,0,0,0,0,0,0,0,0,0,-1\n")), &["a.csv:2", "zone"])?;
+    Ok(())
+}
+
+#[test]
+fn errors_of_episodes_name_the_line() -> Result<()> {
+    let header = "learner,episode,steps,return,last_value,terminated,kv,kl,ks,ki\n";
+    let good = "0,0,1,0.1,0.8,true,3,21,21,0.7\n";
+    for (row, says) in [
+        ("0,1,1,x,0.8,false,,,,", "return"),
+        ("0,1,1,NaN,0.8,false,,,,", "return: NaN"),
+        ("0,1,1,0.1,inf,false,,,,", "last_value: inf"),
+        ("5,0,1,0.1,0.8,false,,,,", "learner: is 5"),
+        ("-1,0,1,0.1,0.8,false,,,,", "learner"),
+        ("0,1,1", "3 values"),
+    ] {
+        let folder = tempfile::tempdir()?;
+        let run = folder.path();
+        support::train(run)?;
+        fs::write(run.join("episodes.csv"), format!("{header}{good}{row}\n"))?;
+        let error = write_report(run).err().context("no error")?.to_string();
+        assert_eq!(error.lines().count(), 1, "{error}");
+        assert!(error.contains("episodes.csv:3: ") && error.contains(says), "{error}");
+    }
+    Ok(())
+}
+
+#[test]
+fn a_run_of_an_earlier_version_is_refused_in_one_line() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let run = folder.path();
+    fs::write(run.join("result.json"), "{\"schema\": 1, \"kind\": \"train\", \"distance\": 0.8}")?;
+    fs::write(run.join("config.toml"), "maneuver = \"lane_change\"\n")?;
+    let error = write_report(run).err().context("no error")?.to_string();
+    let path = run.join("result.json");
+    assert_eq!(
+        error,
+        format!(
+            "{}: made by an earlier version of pathtune; read it with that version, or run again",
+            path.display()
+        )
+    );
     Ok(())
 }

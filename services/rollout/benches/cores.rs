@@ -2,15 +2,17 @@
 //!
 //! `rollout_tick` is all of a tick; what stands above it should add up to about as much.
 
-use config::{Gains, Layers, RunConfig};
-use controller::{ControlLaw, DriveController, Seen};
+use config::{Layers, Parameters, RunConfig};
+use controller::{ControlLaw, DriveController, Seen, Sight};
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use rollout::Rollout;
 use simulator::SimulatedVehicle;
-use supervisor::{Movement, Wanted, Watch};
-use tracking::{Pose, Reference, ZoneTracker, tracking_error};
-use trainer::{DriveRecord, Learner};
+use supervisor::{Movement, RawCommand, Watch};
+use tracking::{
+    DriveRecord, Objective, PathFollower, Pose, Reference, ZoneTracker, tracking_error,
+};
+use trainer::Training;
 
 fn main() {
     divan::main();
@@ -24,8 +26,8 @@ fn config(maneuver: &str, vehicle: &str) -> RunConfig {
     layers.resolve().expect("the presets are sound")
 }
 
-fn gains() -> Gains {
-    Gains { kv: 3.0, kl: 21.0, ks: 21.0, ki: 0.7 }
+fn parameters() -> Parameters {
+    Parameters::of(&[3.0, 21.0, 21.0, 0.7])
 }
 
 fn pose() -> Pose {
@@ -53,9 +55,13 @@ fn reference_advances(bencher: Bencher, maneuver: &str) {
 
 #[divan::bench]
 fn control_law(bencher: Bencher) {
-    let mut law = ControlLaw::new(&config("lane_change", "tesla_model_3"));
-    let error = tracking_error(Pose { x_m: 1.5, y_m: -0.1, yaw_rad: 0.3 }, pose());
-    bencher.bench_local(move || law.command(black_box(gains()), black_box(error)));
+    let config = config("lane_change", "tesla_model_3");
+    let mut law = ControlLaw::new(&config);
+    let reference = Reference::new(&config);
+    let reference_pose = Pose { x_m: 1.5, y_m: -0.1, yaw_rad: 0.3 };
+    let sight = Sight::new(&config, &reference, 0, reference_pose, pose(), 1.0, 0.1);
+    let parameters = parameters();
+    bencher.bench_local(move || law.command(black_box(&parameters), black_box(&sight)));
 }
 
 #[divan::bench]
@@ -63,11 +69,17 @@ fn controller_tick(bencher: Bencher) {
     let config = config("roundabout", "tesla_model_3");
     let mut drive = DriveController::new(&config);
     let mut tick = config.ticks();
-    let seen = Seen { measured: pose(), truth: Some(pose()), collision: false };
+    let seen = Seen {
+        measured: pose(),
+        speed_mps: 1.0,
+        yaw_rate_radps: 0.1,
+        truth: Some(pose()),
+        collision: false,
+    };
     bencher.bench_local(move || {
         tick += 1;
         if tick >= config.ticks() {
-            drive.reset(gains(), config.ticks());
+            drive.reset(parameters(), config.ticks());
             tick = 0;
         }
         drive.tick(tick, black_box(seen))
@@ -77,7 +89,7 @@ fn controller_tick(bencher: Bencher) {
 #[divan::bench(args = ["tesla_model_3", "tesla_model_3_guarded"])]
 fn gate_and_watch(bencher: Bencher, vehicle: &str) {
     let mut watch = Watch::new(&config("lane_change", vehicle));
-    let wanted = Wanted { speed_mps: 2.0, yaw_rate_radps: 0.1, steering_rad: 0.05 };
+    let wanted = RawCommand { speed_mps: 2.0, yaw_rate_radps: 0.1, steering_rad: 0.05 };
     let movement = Movement { pose: pose(), speed_mps: 2.0, yaw_rate_radps: 0.1 };
     let mut tick = 0;
     bencher.bench_local(move || {
@@ -110,7 +122,7 @@ fn rollout_tick(bencher: Bencher, maneuver: &str) {
     let mut rollout = Rollout::new(&config);
     bencher
         .counter(ItemsCount::new(config.ticks()))
-        .bench_local(move || rollout.drive(black_box(gains()), None));
+        .bench_local(move || rollout.drive(black_box(parameters()), None));
 }
 
 /// One tick of a fleet as the pipeline makes it, stage by stage, without the pipeline: against `rollout_tick`, what it
@@ -126,7 +138,7 @@ fn fleet_tick(bencher: Bencher, fleet: usize) {
         tick += 1;
         if tick >= config.ticks() {
             cars.iter_mut().for_each(|car| car.reset(config.path.start.into(), None));
-            drives.iter_mut().for_each(|drive| drive.reset(gains(), config.ticks()));
+            drives.iter_mut().for_each(|drive| drive.reset(parameters(), config.ticks()));
             watches.fill(Watch::new(&config));
             tick = 0;
         }
@@ -137,11 +149,16 @@ fn fleet_tick(bencher: Bencher, fleet: usize) {
         }
         let mut wanted = Vec::with_capacity(fleet);
         for (drive, seen) in drives.iter_mut().zip(&seen) {
-            let truth = Some(seen.truth);
-            let command =
-                drive.tick(tick, Seen { measured: seen.measured, truth, collision: false }).command;
+            let seen = Seen {
+                measured: seen.measured,
+                speed_mps: seen.speed_mps,
+                yaw_rate_radps: seen.yaw_rate_radps,
+                truth: Some(seen.truth),
+                collision: false,
+            };
+            let command = drive.tick(tick, seen).command;
             let (yaw_rate_radps, steering_rad) = (command.yaw_rate_radps, command.steering_rad);
-            wanted.push(Wanted { speed_mps: command.speed_mps, yaw_rate_radps, steering_rad });
+            wanted.push(RawCommand { speed_mps: command.speed_mps, yaw_rate_radps, steering_rad });
         }
         for (index, watch) in watches.iter_mut().enumerate() {
             let (pose, seen) = (seen[index].measured, seen[index]);
@@ -154,10 +171,22 @@ fn fleet_tick(bencher: Bencher, fleet: usize) {
     });
 }
 
-/// A step of Q-learning behind a drive.
+/// The distance from the path, which every tick of a drive measures.
+#[divan::bench(args = MANEUVERS)]
+fn distance_from_the_path(bencher: Bencher, maneuver: &str) {
+    let config = config(maneuver, "tesla_model_3");
+    let reference = Reference::new(&config);
+    let mut follower = PathFollower::new(reference.path(), 0.0);
+    let path = reference.path();
+    bencher.bench_local(|| follower.distance_m(path, black_box(1.0), black_box(0.1)));
+}
+
+/// A step of Q-learning after a drive, with all that a training keeps of it.
 #[divan::bench]
-fn learner_step(bencher: Bencher) {
-    let config = config("lane_change", "tesla_model_3");
+fn training_step(bencher: Bencher) {
+    let mut config = config("lane_change", "tesla_model_3");
+    config.run.memo = false;
+    config.run.alphas = vec![0.5];
     let drive = DriveRecord {
         mean_abs_along_m: 0.3,
         mean_abs_cross_m: 0.2,
@@ -165,14 +194,16 @@ fn learner_step(bencher: Bencher) {
         along_mse_m2: 0.4,
         cross_mse_m2: 0.1,
         ticks: 500,
-        collision: false,
         trace: 1,
+        ..DriveRecord::default()
     };
-    let mut learner = Learner::new(&config, 0, 0.5);
+    let new = move || Training::new(&config, Objective::new(&config));
+    let (mut training, mut step) = (new(), 0);
     bencher.bench_local(move || {
-        if learner.is_finished() {
-            learner = Learner::new(&config, 0, 0.5);
+        if training.is_finished() {
+            (training, step) = (new(), 0);
         }
-        learner.learn(black_box(&drive));
+        training.take(0, step, black_box(drive));
+        step += 1;
     });
 }

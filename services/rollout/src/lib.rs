@@ -1,25 +1,27 @@
-//! The whole loop as one pure function: vehicle, controller, gate, zones and gain schedule, called in turn.
+//! The whole loop as one pure function: vehicle, controller, gate, zones and schedule, called in turn.
 //!
 //! It is the oracle (the pipeline must equal it bit for bit), the lower bound of the benchmarks, and the
 //! engine of the exhaustive grid. It calls the same cores as the processes do, in the order of one tick.
 
-use config::{Gains, RunConfig};
-pub use controller::Ended;
+// Tests may read and write files, start threads, and know the time.
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+
+use config::{Parameters, RunConfig};
 use controller::{Decision, DriveController, Seen};
 use simulator::{Observation, SimulatedVehicle};
-use supervisor::{Movement, Passed, Wanted, Watch};
-use tracking::ZoneTracker;
+use supervisor::{Movement, Passed, RawCommand, Watch};
+use tracking::{DriveRecord, ZoneTracker};
 
 /// Everything that happened in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TickRecord {
     /// What the vehicle reported.
     pub observation: Observation,
-    /// What the controller made of it.
+    /// What the controller computed from it.
     pub decision: Decision,
     /// What the gate passed.
     pub passed: Passed,
-    /// The zone that holds from the next tick on.
+    /// The zone that applies from the next tick on.
     pub zone: usize,
 }
 
@@ -50,31 +52,31 @@ impl Rollout {
         }
     }
 
-    /// One drive from the start with these gains; with noise if there is a seed for it.
-    pub fn drive(&mut self, gains: Gains, noise_seed: Option<u64>) -> Ended {
-        self.drive_with(gains, noise_seed, |_, _| {})
+    /// One drive from the start with these parameters of the law; with noise if there is a seed for it.
+    pub fn drive(&mut self, parameters: Parameters, noise_seed: Option<u64>) -> DriveRecord {
+        self.drive_with(parameters, noise_seed, |_, _| {})
     }
 
-    /// As [`Rollout::drive`], showing each tick to `each`.
+    /// As [`Rollout::drive`], passing each tick to `each`.
     pub fn drive_with(
         &mut self,
-        gains: Gains,
+        parameters: Parameters,
         noise_seed: Option<u64>,
         each: impl FnMut(u64, &TickRecord),
-    ) -> Ended {
-        self.drive_scheduled(&[gains], noise_seed, each)
+    ) -> DriveRecord {
+        self.drive_scheduled(&[parameters], noise_seed, each)
     }
 
-    /// As [`Rollout::drive_with`], with gains for each zone of the path; a single set holds in all of them.
+    /// As [`Rollout::drive_with`], with parameters for each zone of the path; a single set is used in all of them.
     ///
     /// # Panics
     /// If there is neither one set nor one for each zone.
     pub fn drive_scheduled(
         &mut self,
-        by_zone: &[Gains],
+        by_zone: &[Parameters],
         noise_seed: Option<u64>,
         mut each: impl FnMut(u64, &TickRecord),
-    ) -> Ended {
+    ) -> DriveRecord {
         self.vehicle.reset(self.start, noise_seed);
         self.zones.reset();
         let mut watch = self.fresh_watch;
@@ -87,6 +89,8 @@ impl Rollout {
                 tick,
                 Seen {
                     measured: observation.measured,
+                    speed_mps: observation.speed_mps,
+                    yaw_rate_radps: observation.yaw_rate_radps,
                     truth: Some(observation.truth),
                     collision: observation.collision,
                 },
@@ -94,15 +98,15 @@ impl Rollout {
             let raw = decision.command;
             let Observation { measured: pose, speed_mps, yaw_rate_radps, .. } = observation;
             watch.see(tick, Movement { pose, speed_mps, yaw_rate_radps });
-            let wanted = Wanted {
+            let raw = RawCommand {
                 speed_mps: raw.speed_mps,
                 yaw_rate_radps: raw.yaw_rate_radps,
                 steering_rad: raw.steering_rad,
             };
-            let passed = watch.command(self.tick_s, 0, Some(wanted));
+            let passed = watch.command(self.tick_s, 0, Some(raw));
             let entered = self.zones.update(observation.measured, decision.reference_along_m);
             if entered != zone && by_zone.len() > 1 {
-                self.controller.switch_gains(by_zone[entered]);
+                self.controller.switch_parameters(by_zone[entered]);
             }
             zone = entered;
             each(tick, &TickRecord { observation, decision, passed, zone });
@@ -115,16 +119,16 @@ impl Rollout {
     }
 }
 
-/// One drive with these gains; with noise if there is a seed for it.
+/// One drive with these parameters of the law; with noise if there is a seed for it.
 ///
 /// # Examples
 /// ```
 /// let config = config::Layers::maneuver("lane_change")?.resolve()?;
-/// let gains = config.paper_gains().expect("the paper chose one");
-/// let ended = rollout::rollout(&config, gains, None);
-/// assert!(ended.metrics.mse_m2() < 2.0);
+/// let chosen = config.paper_set().expect("the paper chose one");
+/// let record = rollout::rollout(&config, chosen, None);
+/// assert!(record.mse_m2() < 2.0);
 /// # Ok::<(), config::ConfigError>(())
 /// ```
-pub fn rollout(config: &RunConfig, gains: Gains, noise_seed: Option<u64>) -> Ended {
-    Rollout::new(config).drive(gains, noise_seed)
+pub fn rollout(config: &RunConfig, parameters: Parameters, noise_seed: Option<u64>) -> DriveRecord {
+    Rollout::new(config).drive(parameters, noise_seed)
 }

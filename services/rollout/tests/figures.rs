@@ -1,6 +1,6 @@
 //! The plant against the figures of an independent prototype, which fits the paper's tables.
 
-use config::{Gains, Layers, RunConfig};
+use config::{Layers, Parameters, RunConfig};
 use rollout::Rollout;
 
 fn config(maneuver: &str) -> RunConfig {
@@ -16,14 +16,14 @@ fn near(what: &str, got: f64, wanted: f64, tolerance: f64) {
 /// d min, 1 %, median, max over the grid.
 fn grid_figures(maneuver: &str, size: usize, wanted: [f64; 4]) {
     let config = config(maneuver);
-    assert_eq!(config.grid.len(), size);
+    let grid = config.grid();
+    assert_eq!(grid.len(), size);
     let mut rollout = Rollout::new(&config);
-    let mut distances: Vec<f64> = config
-        .grid
+    let mut distances: Vec<f64> = grid
         .positions()
         .map(|position| {
-            let ended = rollout.drive(config.grid.gains(position), None);
-            ended.metrics.distance(config.learning.heading_weight)
+            let record = rollout.drive(grid.set(position), None);
+            record.distance(config.learning.heading_weight)
         })
         .collect();
     distances.sort_by(f64::total_cmp);
@@ -51,8 +51,8 @@ fn mse_of_the_paper_s_sets() {
         let config = config(maneuver);
         let mut rollout = Rollout::new(&config);
         for &(gains, mse) in rows {
-            let ended = rollout.drive(Gains::from_array(gains), None);
-            near(&format!("{maneuver} {gains:?} mse"), ended.metrics.mse_m2(), mse, 0.02);
+            let record = rollout.drive(Parameters::of(&gains), None);
+            near(&format!("{maneuver} {gains:?} mse"), record.mse_m2(), mse, 0.02);
         }
     };
     check(

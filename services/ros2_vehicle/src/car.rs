@@ -1,4 +1,4 @@
-//! A drive in real time: which odometry is published when, and what the car is told meanwhile.
+//! A drive in real time: which odometry is published when, and which commands the car gets meanwhile.
 //!
 //! Pure: the time is an argument.
 
@@ -22,23 +22,23 @@ pub struct Car {
     odometry_age_ns: u64,
     command_age_ns: u64,
     setpoints: Setpoints,
-    /// What was read last, and since when it is known.
+    /// What was read last, and when.
     newest: Option<(Reading, u64)>,
     drive: Option<Drive>,
-    /// What the car was told last, and when.
+    /// The last command to the car, and when it was sent.
     told: Option<(Setpoint, u64)>,
     due_ns: u64,
-    counts: Counts,
+    anomalies: Anomalies,
 }
 
-/// What was not as it should be.
+/// Counts of what was not as it should be.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct Anomalies {
     /// Requests and commands that did not match.
     pub dropped: u64,
     /// Odometry and commands that were not finite.
     pub rejected: u64,
-    /// Commands that came too late, and ticks whose odometry did.
+    /// Commands that came too late, and ticks whose odometry came too late.
     pub late: u64,
     /// Ticks whose odometry was too old to be published; part of `late`.
     pub stale: u64,
@@ -48,7 +48,7 @@ pub struct Counts {
 struct Drive {
     attempt: Attempt,
     start: Pose,
-    /// When tick 0 was, and the tick that is due; none while the car is not at the start.
+    /// When tick 0 was, and the tick that is due; `None` while the car is not at the start.
     clock: Option<(u64, u64)>,
     alignment: Alignment,
     held: Option<Held>,
@@ -71,22 +71,22 @@ struct Held {
 pub struct Begun {
     /// The attempt.
     pub attempt: Attempt,
-    /// Where the odometry's frame lies.
+    /// How the odometry's frame lies in the map.
     pub alignment: Alignment,
 }
 
-/// What is to be done now.
+/// What to do now.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Step {
-    /// Odometry to be published.
+    /// Odometry to publish.
     pub odometry: Option<(TickHeader, Odometry)>,
-    /// What the car is to be told.
+    /// The command to send to the car.
     pub setpoint: Option<Setpoint>,
-    /// The drive begins with this very step.
+    /// The drive begins with this step.
     pub begun: Option<Begun>,
 }
 
-/// How far the car stands off the start of the path.
+/// How far the car is from the start of the path.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Offset {
     /// In position.
@@ -96,7 +96,7 @@ pub struct Offset {
 }
 
 impl Car {
-    /// A car that nothing is known of.
+    /// A car of which nothing is known yet.
     pub fn new(config: &RunConfig, run: u64) -> Self {
         let vehicle = &config.vehicle;
         let ns = |s: f64| (s * 1e9).round() as u64;
@@ -115,13 +115,13 @@ impl Car {
             drive: None,
             told: None,
             due_ns: u64::MAX,
-            counts: Counts::default(),
+            anomalies: Anomalies::default(),
         }
     }
 
     /// Takes odometry that has just come.
     pub fn see(&mut self, reading: Reading, now_ns: u64) {
-        // Whoever repeats an old message does not make it younger.
+        // Repeating an old message does not make it newer.
         let is_repeated = reading.stamp != Default::default()
             && self.newest.is_some_and(|(last, _)| last.stamp == reading.stamp);
         if !is_repeated {
@@ -131,7 +131,7 @@ impl Car {
 
     /// Counts odometry that cannot be used.
     pub fn reject(&mut self) {
-        self.counts.rejected += 1;
+        self.anomalies.rejected += 1;
     }
 
     /// Notes a collision.
@@ -141,7 +141,7 @@ impl Car {
         }
     }
 
-    /// How old the newest odometry is; nothing before the first.
+    /// How old the newest odometry is; `None` before the first.
     pub fn odometry_age_ns(&self, now_ns: u64) -> Option<u64> {
         self.newest.map(|(_, at_ns)| now_ns.saturating_sub(at_ns))
     }
@@ -151,7 +151,7 @@ impl Car {
         (now_ns.saturating_sub(at_ns) <= self.odometry_age_ns).then_some(reading)
     }
 
-    /// How far the car is off the start, if that is known now.
+    /// How far the car is from the start, if that is known now.
     pub fn offset(&self, now_ns: u64) -> Option<Offset> {
         let reading = self.fresh(now_ns)?;
         if self.align == Align::Start {
@@ -184,9 +184,9 @@ impl Car {
             .map_or((0, 0), |drive| (drive.attempt.batch, drive.clock.map_or(0, |(_, next)| next)))
     }
 
-    /// What was not as it should be.
-    pub fn counts(&self) -> Counts {
-        self.counts
+    /// Counts of what was not as it should be.
+    pub fn anomalies(&self) -> Anomalies {
+        self.anomalies
     }
 
     /// When [`Car::step`] has something to do; `u64::MAX` for never.
@@ -194,19 +194,19 @@ impl Car {
         self.due_ns
     }
 
-    /// Whether the car has been told anything.
+    /// Whether the car has been sent a command.
     pub fn has_driven(&self) -> bool {
         self.told.is_some()
     }
 
-    /// Takes a request for a drive, which ends whatever was under way. Whether it is one for us.
+    /// Takes a request for a drive, which ends any drive under way. Returns whether it is one for us.
     pub fn request(&mut self, header: BatchHeader, requests: &[DriveRequest], now_ns: u64) -> bool {
         let [request] = requests else {
-            self.counts.dropped += 1;
+            self.anomalies.dropped += 1;
             return false;
         };
         if !header.attempt.is_of(self.run) {
-            self.counts.dropped += 1;
+            self.anomalies.dropped += 1;
             return false;
         }
         let WirePose { x_m, y_m, yaw_rad } = request.start;
@@ -225,7 +225,7 @@ impl Car {
         true
     }
 
-    /// Goes on with the drive of the request that was just taken: this process was restarted on the way.
+    /// Goes on with the drive of the request that was just taken: this process was restarted during it.
     pub fn rejoin(&mut self, begun: Begun, requested_ns: u64, now_ns: u64) {
         let Some(drive) = &mut self.drive else { return };
         if drive.attempt == begun.attempt {
@@ -235,7 +235,7 @@ impl Car {
         }
     }
 
-    /// Takes a command. What the car is to be told at once, if anything.
+    /// Takes a command. Returns what the car must be told at once, if anything.
     pub fn obey(
         &mut self,
         header: TickHeader,
@@ -248,20 +248,20 @@ impl Car {
                 && drive.held.is_none_or(|held| header.tick >= held.tick)
         });
         let (Some(drive), [command]) = (matching, commands) else {
-            self.counts.dropped += 1;
+            self.anomalies.dropped += 1;
             return None;
         };
-        // Late or not: what has ended does not go on.
+        // Late or not, a drive that has ended does not go on.
         drive.ended |= has(command.flags, Command::ENDED);
         if drive.ended {
             return None;
         }
         if now_ns.saturating_sub(header.supervisor_sent_ns) > self.command_age_ns {
-            self.counts.late += 1;
+            self.anomalies.late += 1;
             return None;
         }
         let setpoint = self.setpoints.of(command).unwrap_or_else(|| {
-            self.counts.rejected += 1;
+            self.anomalies.rejected += 1;
             Setpoint::default()
         });
         drive.held = Some(Held { tick: header.tick, sent_ns: header.supervisor_sent_ns, setpoint });
@@ -291,7 +291,7 @@ impl Car {
         }
         match drive.clock {
             None => {
-                // It still rolls, or has to be brought to the start: whatever it was told is over.
+                // The car still rolls, or has to be brought to the start: its earlier commands no longer count.
                 if self.told.is_some() {
                     step.setpoint = Some(self.stop(fresh, now_ns));
                 }
@@ -303,8 +303,8 @@ impl Car {
                 step.setpoint = Some(setpoint);
                 match fresh {
                     None => {
-                        self.counts.stale += 1;
-                        self.counts.late += 1;
+                        self.anomalies.stale += 1;
+                        self.anomalies.late += 1;
                     }
                     Some(reading) => {
                         step.odometry =
@@ -322,7 +322,7 @@ impl Car {
         step
     }
 
-    /// What the car is told at a tick.
+    /// The command to the car at a tick.
     fn setpoint(
         &self,
         drive: &mut Drive,
@@ -337,7 +337,7 @@ impl Car {
         let is_young = |sent_ns: u64| now_ns.saturating_sub(sent_ns) <= self.command_age_ns;
         match drive.held {
             Some(held) if is_young(held.sent_ns) => held.setpoint,
-            // Nobody can have answered yet.
+            // There cannot be an answer yet.
             None if is_young(since_ns) => Setpoint::default(),
             _ => {
                 drive.own_stop = true;
@@ -353,7 +353,7 @@ impl Car {
                 let since_s = now_ns.saturating_sub(at_ns) as f64 * 1e-9;
                 self.setpoints.stop(told.speed_mps, since_s)
             }
-            // Restarted: nobody knows what the car was told before, but it knows how fast it is.
+            // After a restart, the earlier command is unknown, but the car reports its speed.
             None => self.setpoints.stop(fresh.map_or(0.0, |it| it.speed_mps), 0.0),
         }
     }
@@ -377,7 +377,7 @@ impl Car {
             truth: WirePose::default(),
             speed_mps: reading.speed_mps,
             yaw_rate_radps: reading.yaw_rate_radps,
-            // The message does not tell it: what was asked for.
+            // The message does not contain the steering angle: the commanded one is used.
             steering_rad: setpoint.steering_rad,
             status: status.iter().filter(|(is, _)| *is).fold(0, |bits, (_, bit)| bits | bit),
             reserved: 0,

@@ -111,7 +111,7 @@ fn commands_are_held_until_they_are_too_old() {
         assert_eq!(setpoint.steering_rad, if is_old { 0.0 } else { 0.1 });
         speeds.push(setpoint.speed_mps);
     }
-    // 2 m/s at 2 m/s² behind 0.1 s of the command's age.
+    // 2 m/s at 2 m/s², after 0.1 s of the command's age.
     assert!(speeds.is_sorted_by(|a, b| a >= b));
     assert!((speeds[59] - 1.0).abs() < 0.03, "{speeds:?}");
     assert_eq!(speeds.last(), Some(&0.0));
@@ -129,7 +129,7 @@ fn late_old_strange_and_broken_commands_move_nothing() {
     let now = T0 + 20 * TICK;
     let (late, one) = command(3, now - 101 * MS, 2.0, 0);
     assert_eq!(car.obey(late, &one, now), None);
-    assert_eq!(car.counts().late, 1);
+    assert_eq!(car.anomalies().late, 1);
     let (good, one) = command(10, now, 2.0, 0);
     assert!(car.obey(good, &one, now).is_some());
     let strange = [
@@ -142,10 +142,10 @@ fn late_old_strange_and_broken_commands_move_nothing() {
         assert_eq!(car.obey(header, &one, now), None);
     }
     assert_eq!(car.obey(good, &[one[0], one[0]], now), None);
-    assert_eq!(car.counts().dropped, 5);
+    assert_eq!(car.anomalies().dropped, 5);
     let broken = [Command { speed_mps: f64::NAN, ..one[0] }];
     assert_eq!(car.obey(good, &broken, now), Some(Setpoint::default()));
-    assert_eq!(car.counts().rejected, 1);
+    assert_eq!(car.anomalies().rejected, 1);
     let strange = Attempt { run: 8, ..batch(2).attempt };
     assert!(!car.request(
         BatchHeader { attempt: strange, ..batch(2) },
@@ -191,7 +191,7 @@ fn old_odometry_is_not_passed_on_and_repeating_it_makes_it_no_younger() {
         assert_eq!(step.odometry.is_some(), k <= 10, "{k}");
         assert!(step.setpoint.is_some());
     }
-    assert_eq!((car.counts().stale, car.counts().late), (10, 10));
+    assert_eq!((car.anomalies().stale, car.anomalies().late), (10, 10));
     assert_eq!(car.odometry_age_ns(T0 + 20 * TICK), Some(20 * TICK));
     car.see(reading(0.0, 0.0, 2), T0 + 21 * TICK);
     assert!(car.step(T0 + 21 * TICK).odometry.is_some());
@@ -206,7 +206,7 @@ fn a_collision_is_told_until_the_next_request() {
         assert_eq!(sent.status, Odometry::COLLISION);
     }
     assert!(car.request(batch(2), &[DriveRequest::default()], T0 + 3 * TICK));
-    // One of before the drive is none of it.
+    // A collision before the drive does not belong to it.
     car.collide();
     assert_eq!(odometry(car.step(T0 + 3 * TICK)).1.status, 0);
 }
@@ -229,7 +229,7 @@ fn a_restarted_process_goes_on_where_the_car_is() {
     let (header, sent) = odometry(step);
     assert_eq!((header.tick, before.0.tick), (30, 29));
     assert_eq!(sent.measured, before.1.measured);
-    // Until the supervisor is heard it stops by itself, from the speed that it has.
+    // Until a command of the supervisor comes it stops by itself, from its present speed.
     assert_eq!(sent.status, Odometry::OWN_STOP);
     assert_eq!(step.setpoint.unwrap().speed_mps, 2.0);
     let (header, one) = command(30, now, 2.5, 0);

@@ -7,7 +7,7 @@ use tracking::{Pose, wrap_angle};
 
 use crate::messages::{Odometry, Quaternion, Time};
 
-/// What an odometry message says of the car.
+/// What an odometry message says about the car.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {
     /// Pose of the tracked point in the odometry's frame; yaw not wrapped.
@@ -16,18 +16,18 @@ pub struct Reading {
     pub speed_mps: f64,
     /// Yaw rate, counter-clockwise.
     pub yaw_rate_radps: f64,
-    /// When the car says that it was so.
+    /// The time for which the car reports this.
     pub stamp: Time,
 }
 
 /// Why an odometry message is not used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Unusable {
-    /// Some number is none, or the orientation is no rotation.
-    #[error("an odometry is not finite, or its orientation is none")]
+    /// A number is not finite, or the orientation is not a rotation.
+    #[error("an odometry message is not finite, or its orientation is not a rotation")]
     NotFinite,
-    /// It is in a frame that is not the expected one.
-    #[error("an odometry has {name} {seen:?}; vehicle.ros2.{key} asks for {expected:?}")]
+    /// It is in another frame than expected.
+    #[error("an odometry message has {name} {seen:?}; vehicle.ros2.{key} asks for {expected:?}")]
     Frame {
         /// The field's name.
         name: &'static str,
@@ -45,7 +45,7 @@ pub enum Unusable {
 pub struct Reader {
     frame: String,
     child_frame: String,
-    /// From the point whose pose is told ahead to the tracked point.
+    /// How far the tracked point is ahead of the point whose pose is reported.
     ahead_m: f64,
     last_yaw_rad: f64,
 }
@@ -93,10 +93,10 @@ impl Reader {
     }
 }
 
-/// The yaw of a rotation; nothing if it is none.
+/// The yaw of a rotation; `None` if it is not a rotation.
 fn yaw_of(q: Quaternion) -> Option<f64> {
     let norm2 = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w;
-    // A message that nobody filled has 0 everywhere.
+    // A message that was never filled in has 0 everywhere.
     if !(norm2.is_finite() && norm2 > 1e-6) {
         return None;
     }
@@ -118,7 +118,7 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// The one that `align` asks for when a car that stands at `pose` is to be at `start`.
+    /// The alignment that `align` asks for, with which a car that stands at `pose` is at `start`.
     pub fn new(align: Align, pose: Pose, start: Pose) -> Self {
         match align {
             Align::Map => Self::default(),
@@ -201,7 +201,7 @@ mod tests {
             if let Ok(reading) = reader.read(&odometry(x, y, yaw, vx, vy)) {
                 prop_assert!(reading.pose.is_finite() && reading.speed_mps.is_finite());
             }
-            // What was wrong leaves nothing behind.
+            // A wrong message leaves nothing behind.
             prop_assert!(reader.read(&odometry(0.0, 0.0, 0.0, 1.0, 0.0)).is_ok());
         }
     }

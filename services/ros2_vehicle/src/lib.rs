@@ -1,22 +1,22 @@
 //! The vehicle role filled by a car that speaks ROS 2: its odometry becomes ours, our commands become its
 //! Ackermann messages.
 //!
-//! What needs no ROS 2 is pure and stands in [`messages`] (as they are on the wire), [`frames`] (which point, in which
-//! frame), [`stop`] (what the car is told, and how it comes to a stop), [`car`] (a drive in real time) and [`watch`]
-//! (what to say of what is missing). The process around them needs the feature `dds`, which brings DDS itself: no ROS
-//! needs to be installed.
+//! The part that needs no ROS 2 is pure: [`messages`] (as they are on the wire), [`frames`] (which point, in which
+//! frame), [`stop`] (commands to the car, and how it comes to a stop), [`car`] (a drive in real time) and [`missing`]
+//! (what to say if something is missing). The process around them needs the feature `dds`, which brings DDS itself: no
+//! ROS needs to be installed.
 
 pub mod car;
 pub mod frames;
 pub mod messages;
+pub mod missing;
 #[cfg(feature = "dds")]
 mod ros;
 #[cfg(feature = "dds")]
 mod service;
 pub mod stop;
-pub mod watch;
 
-/// The user can mend it: one line that says how.
+/// A user's mistake: one line that says what to do.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Refused(pub String);
@@ -24,8 +24,8 @@ pub struct Refused(pub String);
 /// Runs the process until it is asked to stop.
 ///
 /// # Errors
-/// [`Refused`] if somebody else drives the car already, or the network cannot be used; else if it cannot join the run,
-/// or the transport fails.
+/// [`Refused`] if another program drives the car already, or the network cannot be used; other errors if it cannot join
+/// the run, or the transport fails.
 #[cfg(feature = "dds")]
 pub fn run() -> anyhow::Result<()> {
     service::run()

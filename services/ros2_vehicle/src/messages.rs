@@ -51,7 +51,7 @@ pub struct Pose {
     pub orientation: Quaternion,
 }
 
-/// 36 numbers; serde knows arrays up to 32 alone.
+/// 36 numbers; serde supports arrays of up to 32 only.
 pub type Covariance = [[f64; 6]; 6];
 
 /// `geometry_msgs/PoseWithCovariance`.
@@ -155,7 +155,7 @@ pub fn collision_type(message: CollisionMessage) -> (&'static str, &'static str)
 
 /// The command that makes a car do this; `steering_sign` is 1 where a positive angle steers to the left.
 pub fn to_drive(setpoint: Setpoint, steering_sign: i8) -> AckermannDrive {
-    // A car that takes -0 for a reverse gear is nobody's wish.
+    // A car might take -0 for the reverse gear.
     let angle = f64::from(steering_sign) * setpoint.steering_rad + 0.0;
     AckermannDrive {
         steering_angle: angle as f32,

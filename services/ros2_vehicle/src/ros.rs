@@ -20,10 +20,10 @@ use crate::messages::{
     AckermannDrive, AckermannDriveStamped, Bool, CarlaCollisionEvent, Header, ODOMETRY, Odometry,
     Time, collision_type, drive_type, to_drive,
 };
+use crate::missing::{Ours, Peer};
 use crate::stop::Setpoint;
-use crate::watch::{Ours, Peer};
 
-/// Commands that are kept for a reader that missed one: more of them would be history.
+/// How many commands are kept for a reader that missed one: older ones would be out of date.
 const DRIVE_DEPTH: usize = 10;
 /// How long a publisher of the drive topic may take to be discovered.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -35,7 +35,7 @@ pub(crate) struct Ros {
     odometry: Subscription<Odometry>,
     collision: Option<Collision>,
     drive: Drive,
-    // What the others live in.
+    // The other fields depend on these.
     _node: Node,
     _context: Context,
 }
@@ -66,7 +66,7 @@ fn writer(reliability: Ros2Reliability) -> QosProfile {
     QosProfile {
         reliability: match reliability {
             Ros2Reliability::BestEffort => Reliability::BestEffort,
-            // Whoever does not read may not hold up the car.
+            // A subscriber that does not read must not hold up the car.
             Ros2Reliability::Reliable => Reliability::Reliable { when_full: WhenFull::Fail },
         },
         history: History::KeepLast { depth: DRIVE_DEPTH },
@@ -115,7 +115,7 @@ impl Maker {
 }
 
 impl Ros {
-    /// Joins the network. `alone` refuses to do so beside another driver of the car.
+    /// Joins the network. With `alone`, refuses to do so if there is another driver of the car.
     pub(crate) fn join(settings: &Ros2, alone: bool) -> Result<Self, Refused> {
         let mut builder = DomainParticipantBuilder::new(settings.domain_id);
         if let Ok(address) = settings.network.parse::<IpAddr>() {
@@ -130,7 +130,7 @@ impl Ros {
             while Instant::now() < until {
                 let others = writers(&participant, &settings.drive_topic).len();
                 if others > 0 {
-                    return Err(Refused(crate::watch::driven_by_others(
+                    return Err(Refused(crate::missing::driven_by_others(
                         &settings.drive_topic,
                         others,
                     )));
@@ -138,8 +138,8 @@ impl Ros {
                 std::thread::sleep(Duration::from_millis(20));
             }
         }
-        let name = NodeName::new("/", "pathtune_vehicle").expect("is one");
-        // Nobody asks the car for parameters, and its log is ours.
+        let name = NodeName::new("/", "pathtune_vehicle").expect("a valid node name");
+        // The node needs no parameters, and the log is our own.
         let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
         let node = context.new_node(name, options).map_err(|why| fail(&format!("{why:?}")))?;
         let mut make = Maker { node };
@@ -172,7 +172,7 @@ impl Ros {
         })
     }
 
-    /// The next odometry that has come; an error says that one cannot be parsed.
+    /// The next odometry that has come; an error if it cannot be parsed.
     pub(crate) fn next_odometry(&self) -> Result<Option<Odometry>, String> {
         match self.odometry.take() {
             Ok(taken) => Ok(taken.map(|(odometry, _)| odometry)),
@@ -180,7 +180,7 @@ impl Ros {
         }
     }
 
-    /// Whether a collision was told since the last look.
+    /// Whether a collision was reported since the last look.
     pub(crate) fn has_collided(&self) -> bool {
         let mut any = false;
         match &self.collision {
@@ -199,7 +199,7 @@ impl Ros {
         any
     }
 
-    /// Tells the car what to do.
+    /// Sends a command to the car.
     pub(crate) fn tell(&self, setpoint: Setpoint) -> Result<(), String> {
         let drive = to_drive(setpoint, self.settings.steering_sign);
         match &self.drive {
@@ -213,26 +213,26 @@ impl Ros {
         }
     }
 
-    /// Where the commands go.
+    /// The topic of the commands.
     pub(crate) fn drive_topic(&self) -> &str {
         &self.settings.drive_topic
     }
 
-    /// Who else publishes commands.
+    /// How many others publish commands.
     pub(crate) fn other_drivers(&self) -> usize {
         writers(&self.participant, &self.settings.drive_topic).len()
     }
 
-    /// What is to be said of odometry that does not come.
+    /// The message about odometry that does not come.
     pub(crate) fn no_odometry(&self) -> String {
         let topic = &self.settings.odometry_topic;
         let reliability = self.settings.odometry_reliability;
         let ours = Ours { topic, of_type: ODOMETRY, reliability };
         let publishers = writers(&self.participant, topic);
-        crate::watch::no_odometry(ours, &publishers, self.settings.domain_id)
+        crate::missing::no_odometry(ours, &publishers, self.settings.domain_id)
     }
 
-    /// What is to be said of commands that nobody hears, if so.
+    /// The message about commands that nobody receives, if so.
     pub(crate) fn nobody_hears(&self) -> Option<String> {
         let topic = &self.settings.drive_topic;
         let of_type = drive_type(self.settings.drive_message);
@@ -248,7 +248,7 @@ impl Ros {
                 reliability: reliability(data.qos().reliability()),
             })
             .collect();
-        crate::watch::nobody_hears(ours, &subscribers)
+        crate::missing::nobody_hears(ours, &subscribers)
     }
 }
 
@@ -266,7 +266,7 @@ fn writers(participant: &DomainParticipant, topic: &str) -> Vec<Peer> {
         .collect()
 }
 
-/// What DDS takes the topic of a ROS name for.
+/// The name of a ROS topic in DDS.
 fn dds_topic(name: &str) -> String {
     format!("rt{name}")
 }

@@ -13,26 +13,26 @@ use serde::{Deserialize, Serialize};
 use crate::Refused;
 use crate::car::{Begun, Car};
 use crate::frames::{Alignment, Reader, Unusable};
+use crate::missing::driven_by_others;
 use crate::ros::Ros;
 use crate::stop::Setpoint;
-use crate::watch::driven_by_others;
 
-/// Commands to stop that the car gets when the process ends, and the time between them.
+/// How many commands to stop the car gets when the process ends; next, the time between them.
 const STOPS: u32 = 5;
 const BETWEEN_STOPS: Duration = Duration::from_millis(20);
 /// Longest time between two looks at the network.
 const LOOK_NS: u64 = 5_000_000;
-/// When something that is missing is told for the first time, and then again.
+/// After how long something missing is reported for the first time; next, the time until it is reported again.
 const FIRST_TOLD_NS: u64 = 2_000_000_000;
 const TOLD_AGAIN_NS: u64 = 10_000_000_000;
-/// Between looks at who is there.
-const WATCH_NS: u64 = 500_000_000;
+/// Time between looks at which peers there are.
+const LOOK_AROUND_NS: u64 = 500_000_000;
 
 pub(crate) fn run() -> Result<()> {
     let (attachment, bus, config) = join()?;
-    // Before this process is moved to the ring's core: the network's threads stay where there is room.
+    // Before this process is moved to the ring's core, so that the network's threads stay on the other cores.
     let is_first = attachment.incarnation == 1;
-    // Behind a crash the car must not be left alone for longer than it takes; its driver before us was ourselves.
+    // After a crash the car must not be left alone for longer than necessary; its previous driver was this adapter.
     let ros = Ros::join(&config.vehicle.ros2, is_first)?;
     attachment.take_place();
     let mut adapter = Adapter::new(&attachment, &bus, &config, ros)?;
@@ -47,16 +47,16 @@ struct Adapter {
     reader: Reader,
     car: Car,
     batch_file: PathBuf,
-    /// A drive that a process before this one had begun.
+    /// A drive that an earlier incarnation of this process had begun.
     begun_before: Option<Begun>,
     look_ns: u64,
-    watch: Watch,
+    notices: Notices,
 }
 
-/// What has been told, so that it is not told on and on.
-struct Watch {
+/// What has been reported, so that it is not reported all the time.
+struct Notices {
     due_ns: u64,
-    /// When it is told next that odometry, or a reader of the commands, is missing.
+    /// When to report next that odometry, or a reader of the commands, is missing.
     odometry_ns: u64,
     hearers_ns: u64,
     start_ns: u64,
@@ -82,7 +82,7 @@ impl Adapter {
             batch_file,
             begun_before,
             look_ns: 0,
-            watch: Watch {
+            notices: Notices {
                 due_ns: now_ns,
                 odometry_ns: now_ns + FIRST_TOLD_NS,
                 hearers_ns: now_ns + FIRST_TOLD_NS,
@@ -104,7 +104,7 @@ impl Adapter {
                 Ok(Some(odometry)) => odometry,
                 Err(why) => {
                     self.car.reject();
-                    self.watch.say_failure("an odometry cannot be read", &why);
+                    self.notices.say_failure("an odometry message cannot be read", &why);
                     continue;
                 }
             };
@@ -112,22 +112,22 @@ impl Adapter {
                 Ok(reading) => self.car.see(reading, now_ns),
                 Err(why) => {
                     self.car.reject();
-                    if self.watch.unusable.as_ref() != Some(&why) {
+                    if self.notices.unusable.as_ref() != Some(&why) {
                         tracing::warn!("{why}");
-                        self.watch.unusable = Some(why);
+                        self.notices.unusable = Some(why);
                     }
                 }
             }
         }
         if self.ros.has_collided() {
-            tracing::warn!("the car tells of a collision");
+            tracing::warn!("the car reports a collision");
             self.car.collide();
         }
     }
 
     fn tell(&mut self, setpoint: Setpoint) {
         if let Err(why) = self.ros.tell(setpoint) {
-            self.watch.say_failure("a command could not be sent", &why);
+            self.notices.say_failure("a command could not be sent", &why);
         }
     }
 
@@ -142,7 +142,7 @@ impl Adapter {
             let joined = !self.car.is_awaited();
             let Attempt { batch, attempt, .. } = header.attempt;
             tracing::info!(batch, attempt, joined, "requested");
-            self.watch.start_ns = now_ns;
+            self.notices.start_ns = now_ns;
         }
         Ok(true)
     }
@@ -153,7 +153,8 @@ impl Adapter {
         let offset = self.car.offset(now_ns);
         let step = self.car.step(now_ns);
         if let Some(begun) = step.begun {
-            // Written before anybody hears of the drive: whoever comes behind a crash must not begin it again.
+            // Written before any process hears of the drive: the process that is started after a crash must not begin
+            // it again.
             BatchFile::write(&self.batch_file, begun)
                 .with_context(|| format!("failed to write {:?}", self.batch_file))?;
             let off = offset.unwrap_or_default();
@@ -175,45 +176,46 @@ impl Adapter {
     /// Says what is missing.
     ///
     /// # Errors
-    /// If somebody else drives the car, and we have not yet.
-    fn watch(&mut self, now_ns: u64) -> Result<()> {
-        self.watch.due_ns = now_ns + WATCH_NS;
+    /// If another program drives the car, and this one has not yet.
+    fn tell_what_is_missing(&mut self, now_ns: u64) -> Result<()> {
+        self.notices.due_ns = now_ns + LOOK_AROUND_NS;
         let age_ns = self.car.odometry_age_ns(now_ns);
-        if age_ns.is_some_and(|age_ns| age_ns < WATCH_NS) {
-            if !self.watch.has_odometry {
-                tracing::info!("odometry comes");
+        if age_ns.is_some_and(|age_ns| age_ns < LOOK_AROUND_NS) {
+            if !self.notices.has_odometry {
+                tracing::info!("odometry arrives");
             }
-            self.watch.has_odometry = true;
-            // Should it stop, that is told at once.
-            self.watch.odometry_ns = 0;
-        } else if now_ns >= self.watch.odometry_ns {
-            self.watch.has_odometry = false;
-            self.watch.odometry_ns = now_ns + TOLD_AGAIN_NS;
+            self.notices.has_odometry = true;
+            // If it stops, report that at once.
+            self.notices.odometry_ns = 0;
+        } else if now_ns >= self.notices.odometry_ns {
+            self.notices.has_odometry = false;
+            self.notices.odometry_ns = now_ns + TOLD_AGAIN_NS;
             let why = self.ros.no_odometry();
             match age_ns {
                 None => tracing::warn!("{why}"),
                 Some(age_ns) => {
-                    tracing::warn!("{why}; the last came {:.1} s ago", age_ns as f64 * 1e-9)
+                    tracing::warn!("{why}; the last message came {:.1} s ago", age_ns as f64 * 1e-9)
                 }
             }
         }
-        if now_ns >= self.watch.hearers_ns {
+        if now_ns >= self.notices.hearers_ns {
             let told = self.ros.nobody_hears().inspect(|why| tracing::warn!("{why}"));
-            let wait_ns = if told.is_some() { TOLD_AGAIN_NS } else { WATCH_NS };
-            self.watch.hearers_ns = now_ns + wait_ns;
+            let wait_ns = if told.is_some() { TOLD_AGAIN_NS } else { LOOK_AROUND_NS };
+            self.notices.hearers_ns = now_ns + wait_ns;
         }
         let others = self.ros.other_drivers();
-        if others > self.watch.others {
+        if others > self.notices.others {
             let why = driven_by_others(self.ros.drive_topic(), others);
-            // Discovery may take longer than a start may. On the road it is too late to leave the car to them.
+            // Discovery may take longer than a start may. Once the car is on the road, it is too late to leave it to
+            // another driver.
             if !self.car.has_driven() && self.begun_before.is_none() {
                 return Err(Refused(why).into());
             }
             tracing::warn!("{why}");
         }
-        self.watch.others = others;
-        if self.car.is_awaited() && now_ns >= self.watch.start_ns {
-            self.watch.start_ns = now_ns + FIRST_TOLD_NS;
+        self.notices.others = others;
+        if self.car.is_awaited() && now_ns >= self.notices.start_ns {
+            self.notices.start_ns = now_ns + FIRST_TOLD_NS;
             match self.car.offset(now_ns) {
                 None => tracing::warn!("the drive waits for odometry"),
                 Some(off) => tracing::warn!(
@@ -227,7 +229,7 @@ impl Adapter {
     }
 }
 
-impl Watch {
+impl Notices {
     fn say_failure(&mut self, what: &str, why: &str) {
         self.failures += 1;
         if self.failures.is_power_of_two() {
@@ -237,7 +239,7 @@ impl Watch {
 }
 
 impl Drop for Adapter {
-    /// However this process ends, as long as it can say anything: the car stops.
+    /// However this process ends, as long as it can still send anything, the car stops.
     fn drop(&mut self) {
         if !self.car.has_driven() {
             return;
@@ -266,22 +268,22 @@ impl Service for Adapter {
         } else if now_ns >= self.look_ns {
             self.look(now_ns);
         }
-        if now_ns >= self.watch.due_ns {
-            self.watch(now_ns)?;
+        if now_ns >= self.notices.due_ns {
+            self.tell_what_is_missing(now_ns)?;
         }
         Ok(any)
     }
 
     fn status(&self) -> Counters {
         let (batch, tick) = self.car.progress();
-        let counts = self.car.counts();
+        let anomalies = self.car.anomalies();
         let at_start = if self.car.is_at_start(now_ns()) { Status::AT_START } else { 0 };
         Counters {
             batch,
             tick,
-            dropped: counts.dropped,
-            rejected: counts.rejected,
-            late: counts.late,
+            dropped: anomalies.dropped,
+            rejected: anomalies.rejected,
+            late: anomalies.late,
             capacity: 1,
             pacing: Status::REAL_TIME | at_start,
         }
@@ -292,11 +294,11 @@ impl Service for Adapter {
     }
 }
 
-/// What a restarted process finds of the drive under way.
+/// What a restarted process finds about the drive under way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BatchFile {
-    /// In hexadecimal digits, as everywhere: TOML has no number that large.
+    /// In hexadecimal digits, as everywhere, because TOML has no numbers that large.
     run: String,
     batch: u64,
     attempt: u32,
@@ -315,7 +317,7 @@ impl BatchFile {
         let Begun { attempt: Attempt { run, batch, attempt, .. }, alignment } = begun;
         let run = format!("{run:016x}");
         let text = toml::to_string(&Self { run, batch, attempt, alignment })?;
-        // By rename: there is never half a file.
+        // By rename, so that there is never half a file.
         let new = path.with_extension("new");
         std::fs::write(&new, text)?;
         Ok(std::fs::rename(&new, path)?)

@@ -1,16 +1,16 @@
-//! What the car is told to do, and how it comes to a stop when nobody tells it anything.
+//! The commands to the car, and how it comes to a stop when no commands come.
 
 use config::Vehicle;
 use ipc_types::Command;
 
-/// What the car is told to do.
+/// A command to the car.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Setpoint {
     /// Forward speed; never negative.
     pub speed_mps: f64,
     /// Angle of the road wheels, positive to the left.
     pub steering_rad: f64,
-    /// Limit of the acceleration; 0: none.
+    /// Limit of the acceleration; 0 for none.
     pub acceleration_mps2: f64,
 }
 
@@ -19,14 +19,14 @@ pub struct Setpoint {
 pub struct Setpoints {
     speed_limit_mps: f64,
     steering_limit_rad: f64,
-    /// 0 where it is not to be named.
+    /// 0 if the commands do not name it.
     acceleration_mps2: f64,
     stop_deceleration_mps2: f64,
     names_acceleration: bool,
 }
 
 impl Setpoints {
-    /// Those for this car.
+    /// The setpoints for this car.
     pub fn new(vehicle: &Vehicle) -> Self {
         let names_acceleration = vehicle.ros2.drive_acceleration;
         let limit_mps2 = vehicle.safety.acceleration_limit_mps2;
@@ -40,21 +40,21 @@ impl Setpoints {
         }
     }
 
-    /// What a command asks for; nothing if it is not finite.
+    /// What a command asks for; `None` if it is not finite.
     pub fn of(&self, command: &Command) -> Option<Setpoint> {
         let Command { speed_mps, steering_rad, .. } = *command;
         if !(speed_mps.is_finite() && steering_rad.is_finite()) {
             return None;
         }
         Some(Setpoint {
-            // A negative speed only brakes; said to a car, it would be the reverse gear.
+            // A negative speed only brakes; sent to a car, it would mean the reverse gear.
             speed_mps: speed_mps.clamp(0.0, self.speed_limit_mps),
             steering_rad: steering_rad.clamp(-self.steering_limit_rad, self.steering_limit_rad),
             acceleration_mps2: self.acceleration_mps2,
         })
     }
 
-    /// The car's own stop, `since_s` after it was to be this fast: wheels straight, slower.
+    /// The car's own stop, `since_s` after it was commanded this speed: wheels straight, slower.
     pub fn stop(&self, speed_mps: f64, since_s: f64) -> Setpoint {
         let slower_mps = speed_mps - self.stop_deceleration_mps2 * since_s.max(0.0);
         let acceleration_mps2 =

@@ -17,19 +17,19 @@ pub struct Attachment {
     pub names: RunNames,
     /// The run's output folder: configuration, journal, logs, result.
     pub folder: PathBuf,
-    /// The most elements that a message of this run carries.
+    /// The largest number of elements in a message of this run.
     pub max_len: usize,
     /// Which start of this role it is, counted from 1.
     pub incarnation: u64,
-    /// The core that this process is to run on, if it is to run on a certain one.
+    /// The core on which this process must run, if a certain one is chosen.
     pub core: Option<usize>,
     /// How the processes of the run wait for each other.
     pub wait: Wait,
-    /// Priority of first-in-first-out scheduling, if the processes of the ring are to ask for it; see [`use_fifo`].
+    /// Priority of first-in-first-out scheduling, if the processes of the ring must request it; see [`use_fifo`].
     pub fifo: Option<u8>,
     /// The orchestrator's process id.
     pub parent: i32,
-    /// Faults on purpose, with their seed; see [`crate::chaos`].
+    /// Faults to inject, with their seed; see [`crate::chaos`].
     pub chaos: Option<(String, u64)>,
 }
 
@@ -81,6 +81,19 @@ impl Attachment {
         })
     }
 
+    /// Gives a child its variables, and none of ours that the user's own environment happens to have: such as a script of
+    /// faults, or a priority.
+    pub fn give_to(&self, child: &mut std::process::Command) {
+        for (name, _) in std::env::vars_os() {
+            let ours = name.to_str().is_some_and(|name| name.starts_with("PATHTUNE_"));
+            let kept = [crate::logging::LOG_VAR, crate::periods::FILE_VARIABLE];
+            if ours && kept.iter().all(|kept| name != *kept) {
+                child.env_remove(name);
+            }
+        }
+        child.envs(self.to_env());
+    }
+
     /// The variables, for a child.
     pub fn to_env(&self) -> Vec<(&'static str, String)> {
         let mut env = vec![
@@ -107,13 +120,14 @@ impl Attachment {
         env
     }
 
-    /// Ties this process to its orchestrator: it is killed when that dies. Call it first thing.
+    /// Ties this process to its orchestrator: when the orchestrator dies, this process is killed. Call it before
+    /// anything else.
     ///
     /// # Errors
     /// If the orchestrator is gone already.
     pub fn tie_to_parent(&self) -> Result<()> {
         rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))?;
-        // It may have died before the signal was asked for.
+        // The orchestrator may have died before the signal was requested.
         let parent = rustix::process::getppid().map(|pid| pid.as_raw_nonzero().get());
         if parent != Some(self.parent) {
             bail!("the orchestrator that started this process is gone");
@@ -121,10 +135,10 @@ impl Attachment {
         Ok(())
     }
 
-    /// Takes the place on the machine that this process was given: its core, its priority. A refusal costs speed and
+    /// Takes the place on the machine that this process was given: its core and its priority. A refusal costs speed and
     /// nothing else.
     pub fn take_place(&self) {
-        // The kernel may wake a sleeper 50 µs late to save a little power: here that is half a tick's way.
+        // The kernel may wake a sleeper 50 µs late to save a little power: here that is half of a tick's duration.
         let _ = rustix::thread::set_current_timer_slack(NonZero::new(1));
         if let Some(core) = self.core {
             let mut cores = rustix::thread::CpuSet::new();
@@ -140,11 +154,11 @@ impl Attachment {
         }
     }
 }
-/// What the C library is told when a process starts.
+/// The variable with settings for the C library, read when a process starts.
 const GLIBC_TUNABLES: &str = "GLIBC_TUNABLES";
 
-/// Settings of the C library under which it does not register restartable sequences: nobody here uses them, and the
-/// kernel would look after them at every hand-over of the core.
+/// Settings with which the C library does not register restartable sequences: nothing here uses them, and the
+/// kernel would have to check them at every switch of the core to another process.
 fn without_rseq(settings: Option<String>) -> String {
     let ours = "glibc.pthread.rseq=0";
     settings.map_or(ours.to_owned(), |theirs| format!("{theirs}:{ours}"))

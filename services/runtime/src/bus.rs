@@ -8,6 +8,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::rc::Rc;
 use std::time::Duration;
 
+use ::config::MAX_FLEET;
 use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::port::listener::Listener;
@@ -30,7 +31,7 @@ use crate::clock::now_ns;
 use crate::run::RunNames;
 use crate::waiting::Wait;
 
-/// The transport refused something; says what was asked of it.
+/// The transport refused something; the error says what was requested.
 #[derive(Debug, thiserror::Error)]
 #[error("failed to {action}: {cause}")]
 pub struct BusError {
@@ -38,7 +39,7 @@ pub struct BusError {
     cause: String,
 }
 
-/// Says what was asked for; put into words only if it was refused.
+/// Makes an error that says what was requested; the text is made only if it was refused.
 fn refused<E: std::fmt::Debug>(action: impl FnOnce() -> String) -> impl FnOnce(E) -> BusError {
     move |cause| BusError { action: action(), cause: format!("{cause:?}") }
 }
@@ -48,9 +49,9 @@ pub struct Bus {
     node: Node<ipc::Service>,
     max_len: usize,
     wait: Wait,
-    /// What only the creator holds, so that topics outlive their users.
+    /// Held only by the creator, so that topics outlive their users.
     held: Vec<Box<dyn Any>>,
-    /// Every publisher of this process: they meet late joiners only when told to look.
+    /// Every publisher of this process: they notice late joiners only when told to look.
     outlets: RefCell<Vec<Rc<dyn LooksForReaders>>>,
 }
 
@@ -65,10 +66,10 @@ impl<M: Message> LooksForReaders for Publisher<ipc::Service, [M], M::Header> {
 }
 
 impl Bus {
-    /// Creates the bus of a run with all its topics, and holds them. The orchestrator's alone.
+    /// Creates the bus of a run with all its topics, and holds them. Only the orchestrator does this.
     ///
     /// # Errors
-    /// If the transport refuses, for one because `/dev/shm` is full.
+    /// If the transport refuses, for example because `/dev/shm` is full.
     pub fn create(names: &RunNames, max_len: usize) -> Result<Self, BusError> {
         let mut bus = Self::attach(names, max_len)?;
         tighten_global_management(names);
@@ -96,7 +97,7 @@ impl Bus {
         Ok(bus)
     }
 
-    /// Joins the bus of a run. `max_len` is the most elements that a message will carry.
+    /// Joins the bus of a run. `max_len` is the largest number of elements that a message will carry.
     ///
     /// # Errors
     /// If the run is gone or the transport refuses.
@@ -115,7 +116,7 @@ impl Bus {
         })
     }
 
-    /// The same, where the readers of the run wait in another way than usual.
+    /// The same bus, if the readers of the run wait in another way than by default.
     pub fn waiting(self, wait: Wait) -> Self {
         Self { wait, ..self }
     }
@@ -150,7 +151,7 @@ impl Bus {
     /// The right to send messages of one kind.
     ///
     /// # Errors
-    /// If somebody else has it, or the transport refuses.
+    /// If another process has it, or the transport refuses.
     pub fn outlet<M: Message>(&self) -> Result<Outlet<M>, BusError> {
         let topic = self.topic::<M>(false)?;
         let publisher = topic
@@ -175,7 +176,7 @@ impl Bus {
         })
     }
 
-    /// The right to hear messages of one kind, as a participant.
+    /// The right to receive messages of one kind, as a participant.
     ///
     /// # Errors
     /// If the transport refuses.
@@ -183,7 +184,7 @@ impl Bus {
         self.inlet_with_buffer(M::TOPIC.buffer)
     }
 
-    /// The right to hear messages of one kind, as an observer that may lag behind.
+    /// The right to receive messages of one kind, as an observer that may lag behind.
     ///
     /// # Errors
     /// If the transport refuses.
@@ -191,7 +192,7 @@ impl Bus {
         self.inlet_with_buffer(OBSERVER_BUFFER)
     }
 
-    /// Whether somebody who takes the elements of `M`'s topic for `T`s would connect: only if name, hash of
+    /// Checks whether a process that takes the elements of `M`'s topic for `T`s could connect: only if name, hash of
     /// the layout, size and alignment are the same.
     ///
     /// # Errors
@@ -244,7 +245,7 @@ impl Bus {
         Ok(Alarm { listener })
     }
 
-    /// Lets every publisher of this process meet readers that came since, and hand them its history.
+    /// Lets every publisher of this process notice readers that have joined since, and pass its history to them.
     pub fn look_for_readers(&self) {
         for outlet in self.outlets.borrow().iter() {
             outlet.look_for_readers();
@@ -252,7 +253,7 @@ impl Bus {
     }
 
     /// Removes what dead processes of the run left on the bus. May hang on half-made files: only for a
-    /// process that somebody will kill if it does.
+    /// process that will be killed if it hangs.
     pub fn clean_dead_nodes(&self) {
         self.node.blocking_cleanup_dead_nodes(Duration::from_millis(500));
     }
@@ -265,24 +266,24 @@ pub struct Alarm {
 }
 
 impl Alarm {
-    /// Sleeps until somebody notifies, or for `at_most`. May also return for no reason.
+    /// Sleeps until another process notifies, or for `at_most`. May also return for no reason.
     pub fn wait(&self, at_most: Duration) {
         let Ok(at_most) = Timespec::try_from(at_most) else { return };
-        // Not the listener's own timed wait: a socket's timeout is counted in the kernel's ticks of some
-        // milliseconds, and who paces by the clock would come as much too late.
+        // Not the listener's own timed wait: a socket's timeout is counted in the kernel's ticks of a few
+        // milliseconds, and a process that paces by the clock would be late by as much.
         if let Ok(1) = poll(&mut [PollFd::new(self, PollFlags::IN)], Some(&at_most)) {
             self.clear();
         }
     }
 
-    /// Forgets the notifications that have come.
+    /// Discards the notifications that have come.
     pub fn clear(&self) {
         let _ = self.listener.try_wait(|_| {});
     }
 }
 
 impl AsFd for Alarm {
-    /// Readable when somebody notifies.
+    /// Readable when another process notifies.
     fn as_fd(&self) -> BorrowedFd<'_> {
         // SAFETY: the descriptor is the listener's, which lives as long as the borrow.
         #[allow(unsafe_code)]
@@ -297,14 +298,14 @@ pub struct Outlet<M: Message> {
     topic: PortFactory<ipc::Service, [M], M::Header>,
     publisher: Rc<Publisher<ipc::Service, [M], M::Header>>,
     wakes: Vec<Notifier<ipc::Service>>,
-    /// How long its readers have looked in vain when they may sleep.
+    /// After how long without a message its readers may sleep.
     sleeps_after_ns: u64,
     last_send_ns: Cell<u64>,
     disturbance: Option<Disturbance>,
 }
 
 impl<M: Message> Outlet<M> {
-    /// Whether anybody hears: a topic for observers alone costs nothing without one.
+    /// Whether there is a reader: a topic that only observers read costs nothing without one.
     pub fn has_readers(&self) -> bool {
         self.topic.dynamic_config().number_of_subscribers() > 0
     }
@@ -312,8 +313,9 @@ impl<M: Message> Outlet<M> {
     /// Sends one message of `len` elements, each written in place by `write`, and wakes its readers if
     /// they may sleep.
     ///
-    /// Readers sleep only after some time without a message, the same for all of a run. If the last one is younger than
-    /// that even now, behind this send, they have not slept in between, and will find this one.
+    /// Readers sleep only after a certain time without a message, which is the same for the whole run. If the previous
+    /// message is younger than that even now, after this send, they have not slept in between, and will find this
+    /// message.
     ///
     /// # Errors
     /// If the transport refuses.
@@ -326,7 +328,7 @@ impl<M: Message> Outlet<M> {
         self.write(len, write)?.send(|_| header)
     }
 
-    /// Writes one message of `len` elements in place, to be sent when that is done: the making of the elements may be
+    /// Writes one message of `len` elements in place, to be sent afterwards: computing the elements may be
     /// the work of the tick.
     ///
     /// # Errors
@@ -343,7 +345,7 @@ impl<M: Message> Outlet<M> {
         Ok(Written { outlet: self, sample: sample.write_from_fn(write) })
     }
 
-    /// As [`Outlet::send`], without waking anybody.
+    /// As [`Outlet::send`], without waking the readers.
     ///
     /// # Errors
     /// If the transport refuses.
@@ -357,14 +359,14 @@ impl<M: Message> Outlet<M> {
     }
 }
 
-/// A message in shared memory that was written and not sent yet; dropped, it never was.
+/// A message in shared memory that is written but not sent yet; if dropped, it is never sent.
 pub struct Written<'a, M: Message> {
     outlet: &'a Outlet<M>,
     sample: SampleMut<ipc::Service, [M], M::Header>,
 }
 
 impl<M: Message> Written<'_, M> {
-    /// Sends it with the header that is made of the time now, and wakes its readers if they may sleep: see
+    /// Sends it with the header that is made from the current time, and wakes its readers if they may sleep: see
     /// [`Outlet::send`].
     ///
     /// # Errors
@@ -375,7 +377,7 @@ impl<M: Message> Written<'_, M> {
         self.publish(header(before_ns))?;
         if now_ns() - outlet.last_send_ns.replace(before_ns) >= outlet.sleeps_after_ns {
             for notifier in &outlet.wakes {
-                // Nobody may be listening, which is no mistake.
+                // It is not an error if nobody is listening.
                 let _ = notifier.notify();
             }
         }
@@ -392,22 +394,33 @@ impl<M: Message> Written<'_, M> {
     }
 }
 
-/// The right to hear messages of one kind.
+/// The right to receive messages of one kind.
 pub struct Inlet<M: Message> {
     subscriber: Subscriber<ipc::Service, [M], M::Header>,
 }
 
 impl<M: Message> Inlet<M> {
-    /// The oldest message that was not taken yet.
+    /// The oldest message that has not been taken yet.
+    ///
+    /// A message with more elements than any of ours has is passed over unread: its sender is no process of this run, and
+    /// whoever looked at all of it would stand still meanwhile.
     ///
     /// # Errors
     /// If the transport refuses.
     pub fn receive(&self) -> Result<Option<Received<M>>, BusError> {
-        let sample = self
-            .subscriber
-            .receive()
-            .map_err(refused(|| format!("receive from {}", M::TOPIC.name)))?;
-        Ok(sample.map(|sample| Received { sample }))
+        // As many at a time as can wait: nobody can keep us here.
+        for _ in 0..OBSERVER_BUFFER {
+            let sample = self
+                .subscriber
+                .receive()
+                .map_err(refused(|| format!("receive from {}", M::TOPIC.name)))?;
+            let Some(sample) = sample else { return Ok(None) };
+            if sample.payload().len() <= MAX_FLEET {
+                return Ok(Some(Received { sample }));
+            }
+            tracing::debug!(topic = M::TOPIC.name, len = sample.payload().len(), "too long");
+        }
+        Ok(None)
     }
 
     /// The newest message; older ones are dropped.
@@ -423,7 +436,7 @@ impl<M: Message> Inlet<M> {
     }
 }
 
-/// A message in shared memory, read in place; gone for the sender once it is dropped.
+/// A message in shared memory, read in place; when it is dropped, the sender may reuse its memory.
 pub struct Received<M: Message> {
     sample: Sample<ipc::Service, [M], M::Header>,
 }
@@ -452,14 +465,14 @@ fn transport_config(names: &RunNames) -> Result<Config, BusError> {
     let root = Path::new(names.root.as_os_str().as_encoded_bytes())
         .map_err(refused(|| format!("use the folder {}", names.root.display())))?;
     global.set_root_path(&root);
-    // The orchestrator alone cleans, in a helper process: whoever cleans may hang on half-made files.
+    // Only the orchestrator cleans up, in a helper process, because the clean-up may hang on half-made files.
     global.node.cleanup_dead_nodes_on_creation = false;
     global.node.cleanup_dead_nodes_on_destruction = false;
     global.service.cleanup_dead_nodes_on_open = false;
     Ok(config)
 }
 
-/// The transport's management segment is born open to all; nobody else has business there.
+/// The transport creates its management segment open to all users; this closes it to the others.
 fn tighten_global_management(names: &RunNames) {
     for name in crate::run::segments_of(names.run) {
         if name.ends_with(".global_mgmt") {

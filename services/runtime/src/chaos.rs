@@ -1,14 +1,14 @@
-//! Faults on purpose: what `--chaos` asks for, carried out where it can be exact.
+//! Injected faults: what `--chaos` asks for, carried out in the process where the timing is exact.
 //!
 //! A script is a list of faults, separated by `;`:
 //!
-//! - `kill ROLE@drive=N,tick=K` kills the process once batch N has come to tick K;
+//! - `kill ROLE@drive=N,tick=K` kills the process once batch N has reached tick K;
 //! - `stop ROLE@drive=N,tick=K for 2s` freezes it for that time;
 //! - `drop TOPIC p=0.001` loses messages with that probability;
 //! - `delay TOPIC 5ms` sends them late;
-//! - `random:RATE` kills random processes, so many a second; the orchestrator does that.
+//! - `random:RATE` kills random processes, RATE of them per second; the orchestrator does that.
 //!
-//! Scripted faults fire once a run: a file in the run's folder remembers it beyond the process that fired.
+//! Each scripted fault fires once in a run: a file in the run's folder records it, and outlives the process that fired.
 
 use std::fs::OpenOptions;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ const TOPICS: [&str; 3] = ["odometry", "raw_command", "command"];
 pub struct Script {
     /// The faults, in the order of the script.
     pub faults: Vec<Fault>,
-    /// Random kills a second.
+    /// Random kills per second.
     pub random_per_s: f64,
 }
 
@@ -51,7 +51,7 @@ impl Script {
     /// Parses a script.
     ///
     /// # Errors
-    /// Says which fault is not one, and why.
+    /// If a fault is malformed; the error says which one, and why.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut script = Self::default();
         for fault in text.split(';').map(str::trim).filter(|fault| !fault.is_empty()) {
@@ -83,7 +83,7 @@ impl Fault {
                 Ok(Fault::Stop { role, drive, tick, time: parse_time(time)? })
             }
             ["drop", topic, share] => {
-                let share = share.strip_prefix("p=").ok_or("wants p=PROBABILITY")?;
+                let share = share.strip_prefix("p=").ok_or("needs p=PROBABILITY")?;
                 Ok(Fault::Drop {
                     topic: parse_topic(topic)?,
                     probability: number(share, 0.0, 1.0)?,
@@ -101,7 +101,7 @@ impl Fault {
 
 /// `ROLE@drive=N[,tick=K]`.
 fn parse_place(text: &str) -> Result<(WakeRole, u64, u64), String> {
-    let (role, place) = text.split_once('@').ok_or("wants ROLE@drive=N,tick=K")?;
+    let (role, place) = text.split_once('@').ok_or("needs ROLE@drive=N,tick=K")?;
     let role = match role {
         "simulator" | "vehicle" => WakeRole::Vehicle,
         "controller" => WakeRole::Controller,
@@ -110,27 +110,27 @@ fn parse_place(text: &str) -> Result<(WakeRole, u64, u64), String> {
         "recorder" => WakeRole::Recorder,
         _ => {
             return Err(format!(
-                "{role} is no role; there are simulator, controller, supervisor, trainer, recorder"
+                "{role} is not a role; there are simulator, controller, supervisor, trainer, recorder"
             ));
         }
     };
     let (mut drive, mut tick) = (None, 0);
     for part in place.split(',') {
-        let parse = |text: &str| text.parse::<u64>().map_err(|_| format!("{text} is no number"));
+        let parse = |text: &str| text.parse::<u64>().map_err(|_| format!("{text} is not a number"));
         match part.split_once('=') {
             Some(("drive", value)) => drive = Some(parse(value)?),
             Some(("tick", value)) => tick = parse(value)?,
             _ => return Err(format!("{part} is neither drive=N nor tick=K")),
         }
     }
-    Ok((role, drive.ok_or("wants drive=N")?, tick))
+    Ok((role, drive.ok_or("needs drive=N")?, tick))
 }
 
 fn parse_topic(text: &str) -> Result<String, String> {
     if TOPICS.contains(&text) {
         return Ok(text.to_owned());
     }
-    Err(format!("{text} is no topic to disturb; there are {}", TOPICS.join(", ")))
+    Err(format!("{text} is not a topic to disturb; there are {}", TOPICS.join(", ")))
 }
 
 /// `2s`, `300ms`, `50us`.
@@ -140,7 +140,7 @@ fn parse_time(text: &str) -> Result<Duration, String> {
         "s" => 1.0,
         "ms" => 1e-3,
         "us" => 1e-6,
-        _ => return Err(format!("{text} is no time; write 2s, 300ms or 50us")),
+        _ => return Err(format!("{text} is not a time; write it as in 2s, 300ms or 50us")),
     };
     Ok(Duration::from_secs_f64(number(&text[..split], 0.0, 1e6)? * factor))
 }
@@ -148,7 +148,7 @@ fn parse_time(text: &str) -> Result<Duration, String> {
 fn number(text: &str, low: f64, high: f64) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if (low..=high).contains(&number) => Ok(number),
-        _ => Err(format!("{text} is no number in [{low}, {high}]")),
+        _ => Err(format!("{text} is not a number in [{low}, {high}]")),
     }
 }
 
@@ -160,7 +160,7 @@ pub(crate) struct Saboteur {
 }
 
 impl Saboteur {
-    /// What the environment asks of the process in this role; usually nothing.
+    /// The faults that the environment asks of the process in this role; usually none.
     pub(crate) fn from_env(role: WakeRole, root: &Path) -> Option<Self> {
         let script = Script::parse(&std::env::var(SCRIPT).ok()?).ok()?;
         let pending: Vec<_> = script
@@ -177,7 +177,7 @@ impl Saboteur {
         (!pending.is_empty()).then(|| Self { pending, root: root.to_owned() })
     }
 
-    /// Fires what is due.
+    /// Fires the faults that are due.
     pub(crate) fn strike(&mut self, now: Counters) {
         let root = &self.root;
         self.pending.retain(|(index, fault)| {
@@ -227,11 +227,11 @@ pub(crate) struct Disturbance {
 }
 
 impl Disturbance {
-    /// What the environment asks of the outlets on a topic; usually nothing.
+    /// The faults that the environment asks of the outlets on a topic; usually none.
     pub(crate) fn from_env(topic: &str) -> Option<Self> {
         let script = Script::parse(&std::env::var(SCRIPT).ok()?).ok()?;
         let seed = std::env::var(SEED).ok().and_then(|seed| seed.parse().ok()).unwrap_or(1u64);
-        // Another stream for each process and start, else a lost message would be lost for ever.
+        // A different stream for each process and start; otherwise a lost message would be lost again each time.
         let spread = Spread::new(seed ^ (u64::from(std::process::id()) << 20) ^ topic.len() as u64);
         let mut new = Self { probability: 0.0, delay: Duration::ZERO, spread: spread.into() };
         for fault in script.faults {
@@ -246,19 +246,19 @@ impl Disturbance {
         (new.probability > 0.0 || !new.delay.is_zero()).then_some(new)
     }
 
-    /// Waits, and tells whether the message is lost.
+    /// Waits, and returns whether the message is lost.
     pub(crate) fn swallows(&self) -> bool {
         std::thread::sleep(self.delay);
         self.spread.borrow_mut().uniform() < self.probability
     }
 }
 
-/// Numbers for spreading things in time, on which no result depends (xorshift64).
+/// Random numbers for spreading events in time (xorshift64). No result depends on them.
 #[derive(Debug, Clone)]
 pub struct Spread(u64);
 
 impl Spread {
-    /// A stream of a seed.
+    /// The stream of a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
@@ -272,7 +272,7 @@ impl Spread {
     }
 }
 
-/// Wakes a process that froze itself, after a time: the process behind `stop … for 2s`.
+/// Wakes a process that froze itself, after a time: the helper that carries out `stop … for 2s`.
 pub fn wake_later(pid: i32, time: Duration) {
     std::thread::sleep(time);
     if let Some(pid) = rustix::process::Pid::from_raw(pid) {
@@ -315,17 +315,17 @@ mod tests {
     #[test]
     fn mistakes_name_the_fault_and_what_is_wrong() {
         for (text, part) in [
-            ("kill pilot@drive=1", "pilot is no role"),
+            ("kill pilot@drive=1", "pilot is not a role"),
             ("kill controller", "ROLE@drive=N"),
-            ("kill controller@tick=1", "wants drive=N"),
-            ("kill controller@drive=x", "x is no number"),
-            ("stop simulator@drive=1 for ever", "is no time"),
-            ("drop command p=2", "2 is no number in [0, 1]"),
-            ("drop gains p=0.1", "gains is no topic"),
-            ("delay odometry 5", "5 is no time"),
+            ("kill controller@tick=1", "needs drive=N"),
+            ("kill controller@drive=x", "x is not a number"),
+            ("stop simulator@drive=1 for ever", "is not a time"),
+            ("drop command p=2", "2 is not a number in [0, 1]"),
+            ("drop gains p=0.1", "gains is not a topic"),
+            ("delay odometry 5", "5 is not a time"),
             ("explode", "is none of"),
-            ("random:NaN", "no number"),
-            ("random:é", "no number"),
+            ("random:NaN", "not a number"),
+            ("random:é", "not a number"),
         ] {
             let error = Script::parse(text).unwrap_err();
             assert!(error.contains(part), "{error:?} lacks {part:?}");

@@ -1,8 +1,8 @@
 //! Removes what a dead process of a run left behind.
 //!
 //! A process killed while it runs leaves a dead node, which any other process can clean. One killed while it
-//! starts may leave half-made files that nobody may touch: whoever opens them hangs. Those are told by
-//! their mode and removed by name, before anybody looks at them.
+//! starts may leave half-made files that no process may open: it would hang. Such files are recognised by
+//! their mode and removed by name, before any process looks at them.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -10,7 +10,7 @@ use std::path::Path;
 
 use crate::run::{RunNames, segments_of};
 
-/// Removes the half-made files of the dead process `pid`, first of two steps. Nobody else of the run may be
+/// Removes the half-made files of the dead process `pid`: the first of two steps. No other process of the run may be
 /// starting meanwhile.
 pub fn remove_half_made(names: &RunNames, pid: u32) {
     for name in segments_of(names.run) {
@@ -31,7 +31,7 @@ pub fn remove_half_made(names: &RunNames, pid: u32) {
     }
 }
 
-/// Removes what is left of the dead process `pid` after its node was cleaned, second of two steps.
+/// Removes what is left of the dead process `pid` after its node has been removed: the second of two steps.
 pub fn remove_leftovers(names: &RunNames, pid: u32) {
     for name in segments_of(names.run) {
         if carries_pid(&name, pid) && !name.ends_with(".dynamic") {
@@ -49,7 +49,7 @@ pub fn remove_leftovers(names: &RunNames, pid: u32) {
     }
 }
 
-/// The helper process: cleans dead nodes off the bus, and ends. Whoever starts it kills it if it hangs.
+/// The helper process: removes dead nodes from the bus, and ends. The process that starts it kills it if it hangs.
 ///
 /// # Errors
 /// If it was not started by an orchestrator, or the run is gone.
@@ -60,8 +60,8 @@ pub fn run_helper() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whether a name of the transport's (in `/dev/shm`, or among its nodes) holds an id that `pid` made: ids are decimal numbers of 128 bits,
-/// counter, pid, nanoseconds and seconds from the top, 32 bits each.
+/// Whether a name that the transport made (in `/dev/shm`, or among its nodes) contains an id made by `pid`: ids are
+/// decimal numbers of 128 bits, counter, pid, nanoseconds and seconds from the top, 32 bits each.
 pub fn carries_pid(name: &str, pid: u32) -> bool {
     name.split(|c: char| !c.is_ascii_digit())
         .filter(|digits| digits.len() > 20)

@@ -1,4 +1,4 @@
-//! The transport: how a process joins a run, says and hears messages, waits, and shows that it lives.
+//! The transport: how a process joins a run, sends and receives messages, waits, and gives signs of life.
 //!
 //! The only crate that uses iceoryx2, and the only one below the orchestrator that reads clocks. A process
 //! [attaches](Attachment) to the run named by its environment, opens [`Outlet`]s and [`Inlet`]s on the

@@ -1,4 +1,4 @@
-//! Logs: one line an event, to standard error, which the orchestrator turns into the process's log file.
+//! Logs: one line per event, to standard error, which the orchestrator redirects to the process's log file.
 
 use tracing::level_filters::LevelFilter;
 use tracing_subscriber::Layer;
@@ -7,15 +7,15 @@ use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// The variable that chooses what is told.
-const LOG_VAR: &str = "PATHTUNE_LOG";
+/// The variable that selects what is logged.
+pub(crate) const LOG_VAR: &str = "PATHTUNE_LOG";
 
 /// Starts logging to standard error.
 pub fn init() {
     init_to(std::io::stderr);
 }
 
-/// Starts logging. `PATHTUNE_LOG` chooses what is told: a level, and levels of single targets, such as
+/// Starts logging. `PATHTUNE_LOG` selects what is logged: a level, and levels of single targets, such as
 /// `warn,controller=debug`; `info` by default.
 pub fn init_to<W>(writer: W)
 where
@@ -30,7 +30,7 @@ where
         Some(Err(why)) => (usual, Some(why)),
     };
     let lines = tracing_subscriber::fmt::layer().with_writer(writer).with_ansi(false);
-    // Starting it twice is a test's doing, and harmless.
+    // Only tests start it twice, and it does no harm.
     let _ = tracing_subscriber::registry().with(lines.with_filter(filter)).try_init();
     if let Some(why) = refused {
         tracing::warn!("{LOG_VAR}={:?} is not understood: {why}", asked.unwrap_or_default());

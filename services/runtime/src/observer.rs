@@ -1,8 +1,8 @@
-//! Observers: processes that nobody started for the run, and that may come, go, freeze and die as they like.
+//! Observers: processes that are not part of the run, and may come, go, freeze and die at any time.
 //!
-//! An observer creates no topic, cleans nothing up, is woken by nobody and wakes nobody. It shows that it is there
-//! by a file in the run's private folder, named after its process and locked as long as it lives: that is
-//! how the orchestrator finds the dead ones, and how their number is bounded.
+//! An observer creates no topic, cleans nothing up, is woken by nobody and wakes nobody. It registers
+//! by a file in the run's private folder, which is named after its process and locked while it lives. By these files
+//! the orchestrator finds dead observers, and limits their number.
 
 use std::fs::{self, File, OpenOptions};
 use std::io;
@@ -13,7 +13,8 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use crate::run::{LOCK_FILE, RunNames};
 use crate::{Bus, BusError};
 
-/// Observers of a run at a time: every one costs each tick a little, and a place on the topics.
+/// The largest number of observers of a run at a time: each one costs a little of every tick, and a place on the
+/// topics.
 pub const MAX_OBSERVERS: usize = 16;
 
 /// Why a run cannot be observed.
@@ -21,7 +22,7 @@ pub const MAX_OBSERVERS: usize = 16;
 #[allow(missing_docs, reason = "the messages say it")]
 pub enum ObserverError {
     #[error(
-        "the run has {MAX_OBSERVERS} observers already, which is all it can have; end one of them first"
+        "the run has {MAX_OBSERVERS} observers already, which is the limit; end one of them first"
     )]
     Full,
     #[error("failed to use {path}: {source}")]
@@ -32,7 +33,7 @@ pub enum ObserverError {
 
 /// A place among the observers of a run, given back when this is dropped.
 pub struct Observer {
-    // Dropped before the file is removed: who has no file has no ports.
+    // Dropped before the file is removed: an observer without a file has no ports.
     bus: Option<Bus>,
     path: PathBuf,
     names: RunNames,
@@ -50,7 +51,7 @@ impl Observer {
             let path = path.to_owned();
             move |source| ObserverError::Io { path, source }
         };
-        // The run's own folder must be there: a run that is gone is not made anew.
+        // The run's own folder must exist: it must not be created again for a run that is gone.
         match fs::create_dir(&folder) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
                 return Err(io(&folder)(error));
@@ -62,7 +63,7 @@ impl Observer {
         let open = OpenOptions::new().write(true).create(true).truncate(false).open(&born);
         let lock = open.map_err(io(&born))?;
         lock.lock().map_err(io(&born))?;
-        // Under its final name it is locked from the first moment on.
+        // From the moment at which it has its final name it is locked.
         fs::rename(&born, &path).map_err(io(&path))?;
         let mut observer = Self { bus: None, path, names: names.clone(), _lock: lock };
         if places(names).len() > MAX_OBSERVERS {
@@ -82,10 +83,10 @@ impl Observer {
     }
 }
 
-/// Name of the file in the run's private folder that tells the cores on which its ring runs, with spaces between them.
+/// Name of the file in the run's private folder that lists the cores on which its ring runs, separated by spaces.
 pub const CORE_FILE: &str = "core";
 
-/// Leaves the ring's cores to the ring, where there are others; a refusal costs the ring some speed and nothing else.
+/// Leaves the ring's cores to the ring, if there are others; a refusal costs the ring some speed and nothing else.
 fn step_aside(names: &RunNames) {
     let Ok(text) = fs::read_to_string(names.root.join(CORE_FILE)) else { return };
     let Ok(mut cores) = sched_getaffinity(None) else { return };
@@ -103,16 +104,16 @@ impl Drop for Observer {
     fn drop(&mut self) {
         self.bus = None;
         let _ = fs::remove_file(&self.path);
-        // A run that ends while an observer comes has removed itself already, its lock included. What is there
-        // now was made by those who came too late, and nobody else knows of it. Who died with its lock in place
-        // is left to the sweep.
+        // A run that ends while an observer joins has removed its files already, including its lock. What exists
+        // now was made by observers that came too late, and no other process knows of it. A run whose orchestrator died
+        // with its lock in place is left to the sweep.
         if self.names.root.join(LOCK_FILE).try_exists().is_ok_and(|exists| !exists) {
             self.names.remove();
         }
     }
 }
 
-/// Process ids of observers that died without giving their place back.
+/// Process ids of observers that died without giving up their place.
 pub fn dead_observers(names: &RunNames) -> Vec<u32> {
     let is_dead = |pid: &u32| match File::open(folder(names).join(pid.to_string())) {
         Ok(file) => file.try_lock().is_ok(),
@@ -121,7 +122,7 @@ pub fn dead_observers(names: &RunNames) -> Vec<u32> {
     places(names).into_iter().filter(is_dead).collect()
 }
 
-/// Gives back the place of a dead observer, once what it left on the bus is removed.
+/// Frees the place of a dead observer, once what it left on the bus is removed.
 pub fn forget_observer(names: &RunNames, pid: u32) {
     let _ = fs::remove_file(folder(names).join(pid.to_string()));
 }
@@ -149,7 +150,7 @@ mod tests {
         let held = File::create(folder(&names).join("4711")).unwrap();
         held.lock().unwrap();
         File::create(folder(&names).join("4712")).unwrap();
-        // One that is only just being made is nobody's yet.
+        // A file that is only just being made does not belong to an observer yet.
         File::create(folder(&names).join(".4713")).unwrap();
         assert_eq!(dead_observers(&names), [4712]);
         assert_eq!(places(&names).len(), 2);

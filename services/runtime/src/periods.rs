@@ -17,7 +17,7 @@ pub struct Periods {
 
 impl Default for Periods {
     fn default() -> Self {
-        // Three digits: a thousandth is finer than any run repeats.
+        // Three digits: no two runs agree to a thousandth.
         let histogram = Histogram::new_with_bounds(1, 1_000_000_000, 3).expect("bounds in order");
         Self { histogram, first_ns: None, last_ns: 0 }
     }
@@ -33,7 +33,7 @@ impl Periods {
         self.last_ns = now_ns;
     }
 
-    /// Nanoseconds a tick: mean, median and 99th percentile, with spaces between them.
+    /// Nanoseconds per tick: mean, median and 99th percentile, separated by spaces.
     pub fn summary(&self) -> String {
         let spans = self.histogram.len().max(1);
         let mean_ns = (self.last_ns - self.first_ns.unwrap_or(self.last_ns)) as f64 / spans as f64;
@@ -42,7 +42,7 @@ impl Periods {
     }
 }
 
-/// The periods of a service that somebody measures.
+/// The periods of a service that is being measured.
 #[derive(Debug)]
 pub(crate) struct Measured {
     file: PathBuf,
@@ -52,7 +52,7 @@ pub(crate) struct Measured {
 }
 
 impl Measured {
-    /// None unless it was asked for.
+    /// `None` unless the environment asks for it.
     pub(crate) fn from_env() -> Option<Self> {
         let file = std::env::var_os(FILE_VARIABLE)?.into();
         Some(Self { file, seen: (0, 0), periods: Periods::default() })

@@ -1,7 +1,7 @@
 //! Bare rings: three processes that pass the pipeline's bytes around and do nothing else.
 //!
-//! The baselines of the benchmarks. One goes over the pipeline's own transport: same topics, same messages, same
-//! yielding in the same order, no work, no checks. The others go over pipes or sockets, whichever the processes
+//! They are the baselines of the benchmarks. One uses the pipeline's own transport: the same topics, messages and
+//! yielding in the same order, but no work and no checks. The others use pipes or sockets, whichever the processes
 //! were given as standard input and output, and block in the kernel.
 
 use std::fs::File;
@@ -53,7 +53,7 @@ pub fn run(hop: Hop) -> Result<()> {
                 let mut looks = 0u32;
                 while inlet.receive()?.is_none() {
                     looks += 1;
-                    // The others may have come later than the first message.
+                    // The other processes may have joined after the first message.
                     if round == 0 && looks.is_multiple_of(1000) {
                         send(&outlet, len)?;
                     }
@@ -66,7 +66,7 @@ pub fn run(hop: Hop) -> Result<()> {
             pass_on(&bus.inlet::<Odometry>()?, &bus.outlet::<RawCommand>()?, len, |_| {})
         }
         Hop::Third => {
-            // Else the ring would often run in the order that takes two rounds of the scheduler.
+            // Otherwise the ring would often run in the order that takes two rounds of the scheduler.
             let mut order = RingOrder::new(attachment.names.run);
             let note = |late| order.note(late);
             pass_on(&bus.inlet::<RawCommand>()?, &bus.outlet::<Command>()?, len, note)

@@ -23,10 +23,10 @@ pub struct RunNames {
 }
 
 impl RunNames {
-    /// A new run's names, its private folder made.
+    /// The names of a new run, whose private folder is created.
     ///
     /// # Errors
-    /// If the folder cannot be made, or belongs to another user.
+    /// If the folder cannot be created, or belongs to another user.
     pub fn create() -> io::Result<Self> {
         // Each RandomState is keyed afresh from the system's randomness.
         let run = RandomState::new().build_hasher().finish() | 1;
@@ -57,7 +57,7 @@ pub fn prefix(run: u64) -> String {
     format!("pathtune_{run:016x}_")
 }
 
-/// The run whose prefix a name in `/dev/shm` carries.
+/// The run whose prefix a name in `/dev/shm` has.
 fn run_of_segment(name: &str) -> Option<u64> {
     let digits = name.strip_prefix("pathtune_")?.get(..16)?;
     u64::from_str_radix(digits, 16).ok()
@@ -85,7 +85,7 @@ fn make_private(folder: &Path) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
         Err(error) => {
             let message =
-                format!("{} cannot be made: {error}; set XDG_RUNTIME_DIR", folder.display());
+                format!("{} cannot be created: {error}; set XDG_RUNTIME_DIR", folder.display());
             return Err(io::Error::new(error.kind(), message));
         }
     }
@@ -106,6 +106,14 @@ fn make_private(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
+/// Whether this is a folder of this user that nobody else can enter.
+fn is_private(folder: &Path) -> bool {
+    fs::symlink_metadata(folder).is_ok_and(|meta| {
+        let is_ours = meta.uid() == rustix::process::geteuid().as_raw();
+        meta.is_dir() && is_ours && meta.mode() & 0o077 == 0
+    })
+}
+
 fn remove_segments(prefix: &str) {
     for name in segments() {
         if name.starts_with(prefix) {
@@ -120,7 +128,7 @@ fn segments() -> Vec<String> {
     entries.flatten().filter_map(|entry| entry.file_name().into_string().ok()).collect()
 }
 
-/// Removes what dead runs of this user left behind, and tells which runs those were.
+/// Removes what dead runs of this user left behind, and returns those runs.
 ///
 /// A run is alive exactly as long as its orchestrator holds the lock in its folder.
 pub fn sweep_dead_runs() -> Vec<RunNames> {
@@ -141,11 +149,19 @@ pub fn living_runs() -> Vec<RunNames> {
     runs().into_iter().filter(|names| !is_dead(&names.root)).collect()
 }
 
+/// Runs of this user. A folder that somebody else made, or a link, is none: nothing in it is read, and nothing that it
+/// names is swept or stopped.
 fn runs() -> Vec<RunNames> {
-    let Ok(entries) = fs::read_dir(base_folder()) else { return Vec::new() };
+    let base = base_folder();
+    if !is_private(&base) {
+        return Vec::new();
+    }
+    let Ok(entries) = fs::read_dir(base) else { return Vec::new() };
     let name_run = |entry: fs::DirEntry| {
-        let run = u64::from_str_radix(entry.file_name().to_str()?, 16).ok()?;
-        Some(RunNames { run, root: entry.path() })
+        let name = entry.file_name();
+        let name = name.to_str().filter(|name| name.len() == 16)?;
+        let run = u64::from_str_radix(name, 16).ok()?;
+        is_private(&entry.path()).then(|| RunNames { run, root: entry.path() })
     };
     entries.flatten().filter_map(name_run).collect()
 }
@@ -187,7 +203,7 @@ fn runs_with_processes() -> Vec<u64> {
 fn is_dead(root: &Path) -> bool {
     match fs::File::open(root.join(LOCK_FILE)) {
         Ok(file) => file.try_lock().is_ok(),
-        // Just being made, or never finished: dead once it is old enough.
+        // Being created just now, or never finished: dead once it is old enough.
         Err(_) => fs::metadata(root)
             .and_then(|meta| meta.modified())
             .ok()
@@ -223,5 +239,8 @@ mod tests {
         let link = folder.path().join("link");
         std::os::unix::fs::symlink(&open, &link).unwrap();
         assert!(make_private(&link).unwrap_err().to_string().contains("is not a folder"));
+        assert!(is_private(&open) && !is_private(&link));
+        fs::set_permissions(&open, fs::Permissions::from_mode(0o770)).unwrap();
+        assert!(!is_private(&open));
     }
 }

@@ -18,7 +18,7 @@ use crate::{Attachment, Bus};
 /// and reads the run's configuration.
 ///
 /// # Errors
-/// If the process was not started by an orchestrator, or that one is gone.
+/// If the process was not started by an orchestrator, or the orchestrator is gone.
 pub fn join() -> Result<(Attachment, Bus, RunConfig)> {
     let attachment = Attachment::from_env()?;
     attachment.tie_to_parent()?;
@@ -31,15 +31,15 @@ pub fn join() -> Result<(Attachment, Bus, RunConfig)> {
     Ok((attachment, bus, config))
 }
 
-/// A process's work: takes what has arrived, and answers.
+/// The work of a process: takes what has arrived, and answers.
 pub trait Service {
     /// Takes at most one step. Returns whether there was anything to do.
     ///
     /// # Errors
-    /// What the process cannot go on without.
+    /// Errors after which the process cannot go on.
     fn poll(&mut self) -> Result<bool>;
 
-    /// What the process tells of itself with each sign of life.
+    /// What the process reports with each sign of life.
     fn status(&self) -> Counters;
 
     /// Whether the work is done and the process may end.
@@ -47,13 +47,13 @@ pub trait Service {
         false
     }
 
-    /// When it wants to be polled again although nobody wakes it, by [`now_ns`]; `u64::MAX` for never.
+    /// When to poll it again even if nobody wakes it, by [`now_ns`]; `u64::MAX` for never.
     fn due_ns(&self) -> u64 {
         u64::MAX
     }
 }
 
-/// What a process tells of itself with each sign of life.
+/// What a process reports with each sign of life.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
     /// The batch that is or was last under way; 0 before the first.
@@ -66,17 +66,17 @@ pub struct Counters {
     pub rejected: u64,
     /// Samples that came too late in real time.
     pub late: u64,
-    /// Vehicles that the process can drive in one tick; only of the vehicle.
+    /// How many vehicles the process can drive in one tick; only for the vehicle.
     pub capacity: u32,
-    /// How the vehicle paces; only of the vehicle.
+    /// How the vehicle paces; only for the vehicle.
     pub pacing: u32,
 }
 
-/// Between signs of life; a fifth of the orchestrator's patience.
+/// Time between signs of life: a fifth of the orchestrator's patience.
 const BEAT_NS: u64 = 100_000_000;
-/// Polls between looks at the clock and for new readers.
+/// Number of polls between looks at the clock and for new readers.
 const LOOK_EVERY: u32 = 256;
-/// Messages in a row that came late before the order of the ring is taken for wrong.
+/// After this many late messages in a row, the order of the ring is taken for wrong.
 const LATE_IN_A_ROW: u32 = 32;
 
 /// Runs a service until it has finished or the process is asked to stop.
@@ -100,7 +100,7 @@ pub fn serve(
     {
         tracing::warn!(%why, "memory is not locked");
     }
-    // Only where all of the ring share a core is there an order in which they run.
+    // Only if the whole ring shares a core is there an order in which its processes run.
     let mut order = (role == WakeRole::Supervisor && attachment.wait == Wait::Yield)
         .then(|| RingOrder::new(attachment.names.run ^ attachment.incarnation));
     let mut waiting = Waiting::new(attachment.wait);
@@ -118,7 +118,7 @@ pub fn serve(
                 let Counters { batch, tick, .. } = service.status();
                 measured.note((batch, tick), now_ns());
             }
-            // A step may take long, as a slow vehicle's does: then every one of them is looked behind.
+            // A step may take long, as that of a slow vehicle does: then check after every step.
             look |= beat.is_due(coarse_ns());
             if let Some(saboteur) = &mut saboteur {
                 saboteur.strike(service.status());
@@ -194,7 +194,7 @@ impl Heartbeat {
         };
         let attempt = Attempt::between_batches(self.run);
         let header = BatchHeader { attempt, sent_ns: now_ns, ..BatchHeader::default() };
-        // Only the first one is waited for.
+        // Only the first sign of life is waited for.
         if first {
             self.outlet.send(header, 1, |_| status)?;
         } else {
@@ -204,7 +204,7 @@ impl Heartbeat {
     }
 
     fn is_due(&self, now_ns: u64) -> bool {
-        // The coarse clock may lie behind the last beat's.
+        // The coarse clock may read earlier than the time of the last beat.
         now_ns.saturating_sub(self.last_ns) >= BEAT_NS
     }
 
@@ -218,10 +218,10 @@ impl Heartbeat {
 
 /// Heals the order in which the scheduler runs the ring.
 ///
-/// It keeps the order in which processes became ready. Vehicle, controller, supervisor is the order of the
-/// messages: each finds its message at its first look. In the other order each tick takes two rounds. The
-/// supervisor sees that, because its message is never there at its first look, and then steps aside for a
-/// random moment, which shuffles the order.
+/// The scheduler keeps the order in which processes became ready. Vehicle, controller, supervisor is the order of the
+/// messages: in it, each process finds its message at its first look. In the other order, each tick takes two rounds.
+/// The supervisor notices that, because its message is never there at its first look. It then sleeps for a short
+/// random time, which shuffles the order.
 pub(crate) struct RingOrder {
     late_in_a_row: u32,
     spread: Spread,

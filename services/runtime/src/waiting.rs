@@ -1,7 +1,7 @@
-//! How the processes of a run wait for each other: the one place where that is decided.
+//! How the processes of a run wait for each other: this is the only place where that is decided.
 //!
-//! Three ways to spend the time between two looks for a message, one choice between them from cores, fleet and mode,
-//! and what a process asks of the machine before it starts: a core, a real-time priority, its memory locked.
+//! It has the three ways to spend the time between two looks for a message, the choice between them by cores, fleet and
+//! mode, and what a process requests of the machine before it starts: a core, a real-time priority, and locked memory.
 
 use std::str::FromStr;
 use std::thread::yield_now;
@@ -18,40 +18,43 @@ use crate::Bus;
 use crate::bus::Alarm;
 use crate::clock::now_ns;
 
-/// Processes of the ring: vehicle, controller, supervisor.
+/// Number of processes in the ring: vehicle, controller, supervisor.
 pub const RING: usize = 3;
 
-/// A reader that has looked in vain for this long may go to sleep; one that has not, does not. Readers and writers
+/// A reader may go to sleep only if it has found no message for this long. Readers and writers
 /// share the value: see [`crate::Outlet::send`].
 const SLEEPS_AFTER_NS: u64 = 100_000;
-/// Looks in vain before a process may sleep: on a busy core each one can take a time slice, on an idle one they
-/// are over within `SLEEPS_AFTER_NS`.
+/// Number of looks without a message before a process may sleep: on a busy core each look can take a time slice, on an
+/// idle core all of them are over within `SLEEPS_AFTER_NS`.
 const LOOKS: u32 = 64;
+/// Others keep the core busy if the looks take this long: then sleeping costs less than yielding, because who yields gives
+/// each of them a time slice, while who is woken comes first.
+const CROWDED_AFTER_NS: u64 = 1_000_000;
 /// Longest sleep: bounds what a lost wake-up could cost.
 const NAP: Duration = Duration::from_millis(20);
 
 /// What a process does between two looks for a message.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Wait {
-    /// Hands the core on to the next process of the ring, which shares it; sleeps after 100 µs in vain.
+    /// Yields the core to the next process of the ring, which shares it; sleeps after 100 µs without a message.
     #[default]
     Yield,
-    /// Looks again at once, on a core of its own; sleeps after 100 µs in vain. The quickest for a fleet of one, and
-    /// ruinous where processes outnumber cores.
+    /// Looks again at once, on a core of its own; sleeps after 100 µs without a message. The fastest way for a fleet of
+    /// one, and ruinous if processes outnumber cores.
     Spin,
-    /// Sleeps at once. Burns the least, and leaves the cores to others; each message costs a wake-up.
+    /// Sleeps at once. Uses the least processor time, and leaves the cores to others; each message costs a wake-up.
     Block,
 }
 
 impl Wait {
-    /// Each of them.
+    /// All ways of waiting.
     pub const ALL: [Wait; 3] = [Wait::Yield, Wait::Spin, Wait::Block];
 
-    /// The way for a pipeline with this many cores that no other pipeline has claimed.
+    /// The way to wait for a pipeline for which this many cores are unclaimed.
     ///
-    /// One core is enough where processes only ever take turns, and leaves the others to other pipelines. A
-    /// core for each pays only where the hand-over is the most of a tick, with a fleet of one, and only where as many
-    /// are left to everybody else. By the clock every wait is long, and ends in a sleep anyway.
+    /// One core is enough, because the processes only take turns; it leaves the others to other pipelines. A
+    /// core for each process pays only with a fleet of one, where the hand-over is the largest part of a tick, and only
+    /// if as many cores are left for everything else. By the clock every wait is long, and ends in a sleep anyway.
     pub fn choose(cores: usize, fleet: usize, realtime: bool) -> Self {
         let has_cores = cores >= 2 * RING;
         if has_cores && fleet == 1 && !realtime { Wait::Spin } else { Wait::Yield }
@@ -66,7 +69,7 @@ impl Wait {
         }
     }
 
-    /// How long a reader has looked in vain when it may be asleep.
+    /// After how long without a message a reader may be asleep.
     pub(crate) fn sleeps_after_ns(self) -> u64 {
         if self == Wait::Block { 0 } else { SLEEPS_AFTER_NS }
     }
@@ -75,7 +78,7 @@ impl Wait {
         if self == Wait::Block { 1 } else { LOOKS }
     }
 
-    /// Between two looks of a process that does not sleep.
+    /// What a process that does not sleep does between two looks.
     pub(crate) fn pause(self) {
         match self {
             Wait::Yield => yield_now(),
@@ -94,39 +97,41 @@ impl FromStr for Wait {
     }
 }
 
-/// A reader's waiting: counts its looks in vain, and knows when it may sleep.
+/// The waiting of a reader: counts its looks without a message, and decides when it may sleep.
 ///
-/// Who sleeps earlier misses messages, because writers count on it: see [`crate::Outlet::send`].
+/// A reader that sleeps earlier misses messages, because writers rely on this: see [`crate::Outlet::send`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Waiting {
     wait: Wait,
     looks_in_vain: u32,
     since_ns: u64,
-    /// It has looked long enough: another look in vain, and it may sleep. So until the next message.
+    /// The reader has looked long enough: after one more look without a message it may sleep. Stays set until the next
+    /// message.
     is_time: bool,
 }
 
 impl Waiting {
-    /// Of a process that waits this way.
+    /// For a process that waits in this way.
     pub fn new(wait: Wait) -> Self {
         Self { wait, ..Self::default() }
     }
 
-    /// There was a message: lets the next process have it.
+    /// There was a message: lets the next process run.
     pub fn progress(&mut self) {
         self.looks_in_vain = 0;
         self.is_time = false;
         self.wait.pause();
     }
 
-    /// Whether the last look was in vain.
+    /// Whether the last look found nothing.
     pub fn has_waited(&self) -> bool {
         self.looks_in_vain > 0
     }
 
-    /// Notes a look in vain; whether the reader may sleep after it, else it has paused and looks again.
+    /// Notes a look that found nothing. Returns whether the reader may sleep now; if not, this has paused, and it must
+    /// look again.
     pub fn may_sleep(&mut self) -> bool {
-        // A look that began before it was time proves nothing: a message may have come behind it.
+        // A look that began before it was time proves nothing: a message may have come after it.
         if self.is_time {
             return true;
         }
@@ -134,23 +139,25 @@ impl Waiting {
         if self.looks_in_vain == 1 {
             self.since_ns = now_ns();
         }
-        self.is_time = self.looks_in_vain >= self.wait.looks_before_sleep()
-            && now_ns() - self.since_ns >= self.wait.sleeps_after_ns();
+        let waited_ns = now_ns() - self.since_ns;
+        let has_looked = self.looks_in_vain >= self.wait.looks_before_sleep();
+        self.is_time = waited_ns >= self.wait.sleeps_after_ns()
+            && (has_looked || waited_ns >= CROWDED_AFTER_NS);
         self.wait.pause();
         false
     }
 
-    /// Sleeps until somebody notifies, or `due_ns` by [`now_ns`], or for 20 ms.
+    /// Sleeps until another process notifies, until `due_ns` by [`now_ns`], or for 20 ms.
     pub(crate) fn sleep(bus: &Bus, alarm: &Alarm, due_ns: u64) {
         bus.look_for_readers();
         alarm.wait(NAP.min(Duration::from_nanos(due_ns.saturating_sub(now_ns()))));
     }
 }
 
-/// Puts this thread, and what it starts, under first-in-first-out scheduling.
+/// Puts this thread, and the threads that it starts, under first-in-first-out scheduling.
 ///
 /// # Errors
-/// If the machine does not allow it, in words.
+/// If the machine does not allow it; the error says why.
 pub fn use_fifo(priority: u8) -> Result<(), String> {
     let refused = |error: thread_priority::Error| match error {
         thread_priority::Error::OS(code) => std::io::Error::from_raw_os_error(code).to_string(),
@@ -162,11 +169,11 @@ pub fn use_fifo(priority: u8) -> Result<(), String> {
         .map_err(refused)
 }
 
-/// Keeps what this process holds now in memory: no page of it is fetched from a disk in the middle of a tick. What
-/// is mapped later is left alone, because a limit reached there would end the process.
+/// Locks in memory what this process has mapped now, so that no page is fetched from a disk in the middle of a tick.
+/// What is mapped later is not locked, because reaching a limit then would end the process.
 ///
 /// # Errors
-/// If the machine does not allow it, in words.
+/// If the machine does not allow it; the error says why.
 pub fn lock_memory() -> Result<(), String> {
     mlockall(MlockAllFlags::CURRENT).map_err(|error| error.to_string())
 }
@@ -194,17 +201,24 @@ mod tests {
     }
 
     #[test]
-    fn who_blocks_may_sleep_behind_a_second_look_and_others_only_behind_many() {
+    fn who_blocks_may_sleep_after_a_second_look_and_others_after_many_or_slow_ones() {
         let mut blocks = Waiting::new(Wait::Block);
         assert!(!blocks.may_sleep() && blocks.may_sleep() && blocks.may_sleep());
         for wait in [Wait::Yield, Wait::Spin] {
             let mut waiting = Waiting::new(wait);
             let began_ns = now_ns();
-            // However long they took: the look behind them is still to come.
-            assert!((0..LOOKS).all(|_| !waiting.may_sleep()));
+            let mut looks = 1;
             while !waiting.may_sleep() {
+                looks += 1;
                 assert!(now_ns() - began_ns < 1_000_000_000);
             }
+            let waited_ns = now_ns() - began_ns;
+            // However long the looks took, one more was made after it was time.
+            assert!(looks >= 2 && waited_ns >= SLEEPS_AFTER_NS);
+            assert!(
+                looks > LOOKS || waited_ns >= CROWDED_AFTER_NS,
+                "{looks} looks in {waited_ns} ns"
+            );
             waiting.progress();
             assert!(!waiting.may_sleep());
         }

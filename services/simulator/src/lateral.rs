@@ -1,7 +1,7 @@
 //! How the vehicle turns: the lateral half of the single track, kinematic or dynamic.
 //!
 //! Both move the rear axle by one tick at a forward speed and an angle of the road wheels. The kinematic
-//! one lets no tyre slip, which holds up to about 4 m/s; the dynamic one has linear tyres, a mass and an
+//! one assumes that no tyre slips, which holds up to about 4 m/s; the dynamic one has linear tyres, a mass and an
 //! inertia, and turns into the kinematic one as the speed goes to 0.
 
 use config::{Vehicle, VehicleModel};
@@ -15,7 +15,7 @@ pub(crate) enum Lateral {
         /// Axle to axle.
         wheelbase_m: f64,
     },
-    /// Linear tyres. Apart: it is four times as large.
+    /// Linear tyres. Boxed, because it is four times as large.
     Dynamic(Box<DynamicSingleTrack>),
 }
 
@@ -28,7 +28,7 @@ impl Lateral {
         }
     }
 
-    /// Back to rest.
+    /// Returns to rest.
     pub(crate) fn reset(&mut self) {
         if let Self::Dynamic(track) = self {
             (track.lateral_mps, track.yaw_rate_radps) = (0.0, 0.0);
@@ -107,8 +107,8 @@ impl DynamicSingleTrack {
     }
 
     /// One tick of backward Euler in (w, r) at a fixed speed: the two equations of motion, linear in the new
-    /// w and r, each multiplied by v. So nothing is divided by the speed, the stiff tyres of a slow car are
-    /// no danger, and at v = 0 the solution is w = r = 0.
+    /// w and r, each multiplied by v. So nothing is divided by the speed, the stiff tyres of a slow car do
+    /// no harm, and at v = 0 the solution is w = r = 0.
     fn step(&mut self, v: f64, steering_rad: f64, tick_s: f64) {
         let Self { mass_kg: m, yaw_inertia_kgm2: j, front_m: a, rear_m: b, .. } = *self;
         let (cf, cr) = (self.front_npr, self.rear_npr);
@@ -121,8 +121,8 @@ impl DynamicSingleTrack {
         let rr = j * inertia + a * a * cf + b * b * cr;
         let w_side = m * inertia * self.lateral_mps + forward;
         let r_side = j * inertia * self.yaw_rate_radps + a * forward;
-        // Above 0 for every speed below that at which an oversteering car loses its stability, which the
-        // configuration rules out.
+        // Above 0 at every speed below that at which an oversteering car becomes unstable; the
+        // configuration rules out higher speeds.
         let determinant = ww * rr - wr * rw;
         self.lateral_mps = (w_side * rr - r_side * wr) / determinant;
         self.yaw_rate_radps = (ww * r_side - rw * w_side) / determinant;
@@ -186,7 +186,7 @@ mod tests {
             let understeer = vehicle.mass_kg * (b * cr - a * cf) / (cf * cr * length_m);
             for speed_mps in [0.5f64, 4.0, 15.0, 30.0] {
                 let per_angle = speed_mps / (length_m + understeer * speed_mps * speed_mps);
-                // The textbook's small angle, and a large one by its tangent.
+                // A small angle, as in the textbook, and a large one by its tangent.
                 let (rate, _) = steady(vehicle, speed_mps, 1e-3);
                 assert!((rate / (per_angle * 1e-3) - 1.0).abs() < 1e-6, "{speed_mps} m/s: {rate}");
                 let (rate, _) = steady(vehicle, speed_mps, 0.1);
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn slow_driving_is_kinematic() {
-        // A loop with all angles that a lane change's gains ask for, at the paper's speeds.
+        // A loop with all the angles that the gains of a lane change command, at the paper's speeds.
         let drive = |vehicle: &Vehicle, speed_mps: f64| {
             let mut lateral = Lateral::new(vehicle);
             let mut at = Pose::default();
@@ -224,7 +224,7 @@ mod tests {
                 squares.1 += roll.y_m * roll.y_m;
                 assert!((slip.yaw_rad - roll.yaw_rad).abs() < 0.02);
             }
-            // Against how far the loop goes sideways, which is what an mse measures.
+            // Compared with how far the loop goes sideways, which is what an mse measures.
             assert!(squares.0 / squares.1 < 1e-3, "{speed_mps} m/s: {squares:?}");
         }
         let (_, radius_m) = steady(&dynamic(&[]), 0.01, 0.3);
@@ -246,7 +246,7 @@ mod tests {
             let rate = lateral.step(&mut at, 0.0, 0.5 * libm::sin(f64::from(tick)), 0.01);
             assert_eq!((rate, at), (0.0, start));
         }
-        // Nor does it remember how it was driven before it stopped, or before a reset.
+        // It does not remember how it was driven before it stopped, or before a reset, either.
         lateral.step(&mut at, 9.0, 0.3, 0.01);
         lateral.reset();
         let mut again = start;

@@ -5,7 +5,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tracking::Pose;
 
-/// A stream of noisy poses; starts afresh with each drive.
+/// A stream of noisy poses; starts anew with each drive.
 #[derive(Debug, Clone)]
 pub(crate) struct PoseNoise {
     settings: Noise,
@@ -18,9 +18,9 @@ impl PoseNoise {
         Self { settings, rng: ChaCha8Rng::seed_from_u64(seed) }
     }
 
-    /// The pose as the sensor sees it now. Each call draws afresh.
+    /// The pose as the sensor sees it now. Each call draws new noise.
     pub(crate) fn disturb(&mut self, pose: Pose) -> Pose {
-        // Box–Muller on libm rather than a table of a library's, whose values may change with it.
+        // Box–Muller on libm instead of a library's table, whose values may change with the library's version.
         let radius = (-2.0 * libm::log(1.0 - self.uniform())).sqrt() * self.settings.position_sd_m;
         let angle = std::f64::consts::TAU * self.uniform();
         // The sum of two uniform variables is triangular.

@@ -1,4 +1,4 @@
-//! The road: where the body may be. Its edges run beside the path.
+//! The road: where the body may be. Its edges run along both sides of the path.
 
 use config::{RunConfig, Vehicle};
 use nalgebra::Vector2;
@@ -25,12 +25,12 @@ impl Road {
         })
     }
 
-    /// Back to the start of the path.
+    /// Returns to the start of the path.
     pub(crate) fn reset(&mut self) {
         self.along_m = 0.0;
     }
 
-    /// Whether a corner of the body lies off the road.
+    /// Whether a corner of the body is off the road.
     pub(crate) fn is_left(&mut self, vehicle: &Vehicle, rear_axle: Pose) -> bool {
         let near = self.path.project(rear_axle.x_m, rear_axle.y_m, self.along_m, Self::WINDOW_M);
         self.along_m = near.along_m;

@@ -1,20 +1,20 @@
-//! The simulator's process: the vehicle role in lockstep.
-//!
-//! It publishes odometry k, waits for command k, integrates, and publishes k+1: as fast as the rest of the
-//! ring answers. With `run.realtime` it paces by the clock instead: see `clocked`.
+//! The simulator's process: the vehicle role, in `lockstep` or, with `run.realtime`, `by_the_clock`.
+
+mod by_the_clock;
+mod lockstep;
 
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{
-    Allowance, BatchHeader, Command, Credit, DriveRequest, Odometry, Status, TickHeader, WakeRole,
-    WirePose, has,
+    BatchHeader, Command, Credit, DriveRequest, Odometry, Status, WakeRole, WirePose, has,
 };
 use runtime::clock::now_ns;
-use runtime::{Bus, Counters, Inlet, Outlet, Service, Written, join, serve};
+use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use tracking::Pose;
 
-use crate::clocked::Clocked;
 use crate::{Observation, SimulatedVehicle};
+use by_the_clock::Clocked;
+use lockstep::Lockstep;
 
 /// Runs the process until it is asked to stop.
 ///
@@ -40,47 +40,18 @@ struct Simulator {
     run: u64,
     config: RunConfig,
     slots: Vec<Slot>,
-    pace: Pace,
-    /// What real time adds.
+    lockstep: Lockstep,
+    /// The additional state in real time.
     clocked: Option<Clocked>,
     counters: Counters,
 }
 
-/// What the next tick waits for, in lockstep.
-struct Pace {
-    /// Header of the odometry that waits for its command; none between batches.
-    waiting: Option<TickHeader>,
-    /// What the batch's recorders allow.
-    allowance: Allowance,
-    /// Header of the odometry that waits for a recorder.
-    held_back: Option<TickHeader>,
-}
-
-impl Pace {
-    /// A batch without recorders, before its first odometry.
-    fn new() -> Self {
-        Self { waiting: None, allowance: Allowance::new(&[]), held_back: None }
-    }
-
-    /// Sends odometry, unless a recorder has not got so far; then it is to be written again.
-    fn publish(&mut self, written: Written<Odometry>, header: TickHeader) -> Result<()> {
-        if !self.allowance.allows(header.tick) {
-            self.held_back = Some(header);
-            return Ok(());
-        }
-        self.held_back = None;
-        self.waiting = Some(header);
-        written.send(|now_ns| TickHeader { odometry_sent_ns: now_ns, ..header })?;
-        Ok(())
-    }
-}
-
-pub(crate) struct Slot {
-    pub(crate) vehicle: SimulatedVehicle,
-    pub(crate) last: Odometry,
-    pub(crate) ended: bool,
-    /// In real time: the vehicle stops, because no command is young enough.
-    pub(crate) own_stop: bool,
+struct Slot {
+    vehicle: SimulatedVehicle,
+    last: Odometry,
+    ended: bool,
+    /// In real time: the vehicle stops, because no command is recent enough.
+    own_stop: bool,
 }
 
 impl Simulator {
@@ -93,14 +64,14 @@ impl Simulator {
             run,
             config,
             slots: Vec::new(),
-            pace: Pace::new(),
+            lockstep: Lockstep::new(&[]),
             clocked: None,
             counters: Counters { capacity: MAX_FLEET as u32, ..Counters::default() },
         })
     }
 
     fn start_batch(&mut self, header: BatchHeader, requests: &[DriveRequest]) -> Result<()> {
-        self.pace = Pace::new();
+        self.lockstep = Lockstep::new(&[]);
         if !header.attempt.is_of(self.run) || requests.is_empty() || requests.len() > MAX_FLEET {
             self.counters.dropped += 1;
             return Ok(());
@@ -127,61 +98,16 @@ impl Simulator {
             self.counters.batch = header.attempt.batch;
             return Ok(());
         }
-        self.pace.allowance = Allowance::new(requests);
+        self.lockstep = Lockstep::new(requests);
         self.counters.batch = header.attempt.batch;
         self.counters.tick = 0;
-        let slots = &mut self.slots;
-        let first = self.odometry.write(slots.len(), |index| slots[index].observe())?;
-        let header = TickHeader { attempt: header.attempt, ..TickHeader::default() };
-        self.pace.publish(first, header)
-    }
-
-    fn obey(&mut self, header: TickHeader, commands: &[Command]) -> Result<()> {
-        let Some(waiting) = self.pace.waiting else {
-            self.counters.dropped += 1;
-            return Ok(());
-        };
-        if !header_matches(header, waiting) || commands.len() != self.slots.len() {
-            self.counters.dropped += 1;
-            return Ok(());
-        }
-        let applied_ns = now_ns();
-        let Self { slots, counters, .. } = self;
-        let mut any_goes_on = false;
-        let next = self.odometry.write(commands.len(), |index| {
-            let (slot, command) = (&mut slots[index], &commands[index]);
-            slot.ended |= has(command.flags, Command::ENDED);
-            if slot.ended {
-                slot.last.status |= Odometry::ENDED;
-                return slot.last;
-            }
-            any_goes_on = true;
-            let (mut speed_mps, mut steering_rad) = (command.speed_mps, command.steering_rad);
-            if !(speed_mps.is_finite() && steering_rad.is_finite()) {
-                counters.rejected += 1;
-                (speed_mps, steering_rad) = (0.0, 0.0);
-            }
-            slot.vehicle.step(speed_mps, steering_rad);
-            slot.observe()
-        })?;
-        if !any_goes_on {
-            self.pace.waiting = None;
-            return Ok(());
-        }
-        self.counters.tick = waiting.tick + 1;
-        let header = TickHeader {
-            attempt: waiting.attempt,
-            tick: waiting.tick + 1,
-            applied_ns,
-            ..TickHeader::default()
-        };
-        self.pace.publish(next, header)
+        self.lockstep.start(header, &mut self.slots, &self.odometry)
     }
 }
 
 impl Slot {
-    /// Takes what the sensors tell now: what is published next.
-    pub(crate) fn observe(&mut self) -> Odometry {
+    /// Reads the sensors: returns what is published next.
+    fn observe(&mut self) -> Odometry {
         let Observation { measured, truth, speed_mps, yaw_rate_radps, steering_rad, collision } =
             self.vehicle.observe();
         let wire = |pose: Pose| WirePose { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad };
@@ -198,57 +124,28 @@ impl Slot {
     }
 }
 
-impl Simulator {
-    /// Publishes what was held back, once every recorder has got far enough.
-    fn catch_up(&mut self, held_back: TickHeader) -> Result<bool> {
-        let mut any = false;
-        // All of them: the newest one may be another recorder's.
-        while let Some(credit) = self.credits.receive()? {
-            any = true;
-            let header = credit.header();
-            let is_of_batch = header.attempt == held_back.attempt;
-            let Some(credit) = credit.items().first().filter(|_| is_of_batch) else {
-                self.counters.dropped += 1;
-                continue;
-            };
-            self.pace.allowance.grant(*credit);
-        }
-        if any {
-            let slots = &self.slots;
-            let again = self.odometry.write(slots.len(), |index| slots[index].last)?;
-            self.pace.publish(again, held_back)?;
-        }
-        Ok(any)
-    }
-}
-
-fn header_matches(a: TickHeader, b: TickHeader) -> bool {
-    (a.attempt, a.tick) == (b.attempt, b.tick)
-}
-
 impl Service for Simulator {
     fn poll(&mut self) -> Result<bool> {
+        let Self { lockstep, slots, commands, odometry, counters, .. } = self;
         // In lockstep a request comes when no command does.
-        if self.pace.waiting.is_some()
-            && self.pace.held_back.is_none()
-            && let Some(command) = self.commands.receive()?
+        if lockstep.awaits_command()
+            && let Some(command) = commands.receive()?
         {
-            self.obey(command.header(), command.items())?;
+            lockstep.obey(command.header(), command.items(), slots, odometry, counters)?;
             return Ok(true);
         }
         if let Some(request) = self.requests.receive_newest()? {
             self.start_batch(request.header(), request.items())?;
             return Ok(true);
         }
-        if let Some(held_back) = self.pace.held_back {
-            return self.catch_up(held_back);
+        if let Some(held_back) = lockstep.held_back() {
+            return lockstep.catch_up(held_back, &self.credits, slots, odometry, counters);
         }
-        let Self { clocked, slots, commands, odometry, counters, .. } = self;
-        if let Some(clocked) = clocked {
+        if let Some(clocked) = &mut self.clocked {
             return clocked.poll(slots, commands, odometry, counters);
         }
-        let Some(command) = self.commands.receive()? else { return Ok(false) };
-        self.obey(command.header(), command.items())?;
+        let Some(command) = commands.receive()? else { return Ok(false) };
+        lockstep.obey(command.header(), command.items(), slots, odometry, counters)?;
         Ok(true)
     }
 

@@ -12,12 +12,12 @@ use crate::lateral::Lateral;
 use crate::noise::PoseNoise;
 use crate::road::Road;
 
-/// What the vehicle's sensors tell at one tick.
+/// What the vehicle's sensors report at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Pose of the tracked point as measured, in the map frame.
     pub measured: Pose,
-    /// Pose of the tracked point in truth, in the map frame.
+    /// True pose of the tracked point, in the map frame.
     pub truth: Pose,
     /// Forward speed of the rear axle.
     pub speed_mps: f64,
@@ -32,7 +32,7 @@ pub struct Observation {
 /// One simulated vehicle.
 #[derive(Debug, Clone)]
 pub struct SimulatedVehicle {
-    /// Shared by a fleet: what is each vehicle's own is to fit into the nearest cache.
+    /// Shared by a fleet, so that the state of each vehicle fits into the nearest cache.
     kind: Arc<Kind>,
     road: Option<Road>,
     noise: Option<Box<PoseNoise>>,
@@ -49,7 +49,7 @@ pub struct SimulatedVehicle {
     brake: f64,
 }
 
-/// What of a vehicle never changes.
+/// The part of a vehicle that never changes.
 #[derive(Debug)]
 struct Kind {
     vehicle: Vehicle,
@@ -89,7 +89,7 @@ impl SimulatedVehicle {
         new
     }
 
-    /// Puts the tracked point at `start`, at rest, and starts the noise afresh from its seed, if there is any.
+    /// Puts the tracked point at `start`, at rest, and restarts the noise from its seed, if there is any.
     pub fn reset(&mut self, start: Pose, noise_seed: Option<u64>) {
         let Kind { vehicle, noise, .. } = &*self.kind;
         let back = start.ahead(-vehicle.tracked_point_m);
@@ -108,7 +108,7 @@ impl SimulatedVehicle {
         }
     }
 
-    /// What the sensors tell now. Draws noise: call it once a tick.
+    /// What the sensors report now. Draws noise: call it once a tick.
     pub fn observe(&mut self) -> Observation {
         let vehicle = &self.kind.vehicle;
         let at = self.rear_axle.ahead(vehicle.tracked_point_m);
@@ -168,7 +168,7 @@ impl SimulatedVehicle {
 struct GearSelector {
     engaged: bool,
     in_reverse: bool,
-    /// Ticks until drive engages, once it was asked for.
+    /// Ticks until drive engages, once it was requested.
     wait_ticks: Option<u64>,
     tick: u64,
 }

@@ -1,13 +1,13 @@
-//! The safety gate: what it has not passed does not reach the vehicle.
+//! The safety gate: no command reaches the vehicle unless it has passed the gate.
 //!
-//! It knows the last command that it passed, and lets the next one differ from it no more than the limits allow. All of
-//! them hold for every command at once, whatever is asked for:
+//! It knows the last command that it passed, and lets the next one differ from it no more than the limits allow. All
+//! limits hold at the same time for every command, whatever is asked for:
 //!
-//! - the speed, and how low it may be; the steering angle;
+//! - the highest and lowest speed; the steering angle;
 //! - how fast the speed changes, and how fast that changes (jerk); how fast the steering angle changes;
 //! - the lateral acceleration v²·tan|φ|/L of the command.
 //!
-//! They cannot contradict each other, because the gate looks ahead: it never takes up an acceleration that could not be
+//! They cannot contradict each other, because the gate looks ahead: it never allows an acceleration that could not be
 //! taken back, within the jerk limit, before the speed limit is reached, and never a steering angle that the speed
 //! reached by then would not allow.
 
@@ -15,15 +15,15 @@ use std::f64::consts::FRAC_PI_2;
 
 use config::RunConfig;
 
-/// Commands that follow each other faster, or slower, count as so long apart.
+/// Bounds for the time between two commands: a shorter or longer time counts as the bound.
 const SHORTEST_S: f64 = 1e-6;
 const LONGEST_S: f64 = 1.0;
-/// No command is lower than this, even where reversing is not bounded: numbers far beyond could not be reckoned with.
+/// No command is lower than this, even where reversing is not limited: far larger numbers would break the arithmetic.
 const LOWEST_MPS: f64 = -1000.0;
 
-/// What the controller wants of one vehicle.
+/// What the controller wants of one vehicle, before the gate has changed it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Wanted {
+pub struct RawCommand {
     /// Forward speed.
     pub speed_mps: f64,
     /// Yaw rate.
@@ -32,8 +32,8 @@ pub struct Wanted {
     pub steering_rad: f64,
 }
 
-impl Wanted {
-    /// Whether it is something that a vehicle could be told.
+impl RawCommand {
+    /// Whether it could be sent to a vehicle.
     pub fn is_finite(self) -> bool {
         self.speed_mps.is_finite()
             && self.yaw_rate_radps.is_finite()
@@ -65,7 +65,7 @@ impl Change {
     }
 }
 
-/// A command that the vehicle may have.
+/// A command that may be sent to the vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Passed {
     /// Forward speed.
@@ -87,7 +87,7 @@ pub struct Gate {
     steering_rad: f64,
 }
 
-/// Limits of a command; an infinite one does not bind.
+/// Limits of a command; an infinite limit has no effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Limits {
     speed_mps: f64,
@@ -103,7 +103,7 @@ struct Limits {
 }
 
 impl Gate {
-    /// The gate of a configuration, behind a vehicle at rest.
+    /// The gate of a configuration, for a vehicle at rest.
     pub fn new(config: &RunConfig) -> Self {
         let safety = config.vehicle.safety;
         let limits = Limits {
@@ -113,7 +113,7 @@ impl Gate {
             deceleration_mps2: safety.deceleration_limit_mps2,
             jerk_mps3: safety.jerk_limit_mps3,
             stop_mps2: safety.stop_deceleration_mps2,
-            // The law keeps within the same limit: a command beyond it comes from no healthy controller.
+            // The law keeps within the same limit: a command beyond it cannot come from a healthy controller.
             steering_rad: config.controller.steering_limit_rad,
             steering_rate_radps: safety.steering_rate_limit_radps,
             lateral_mps2: safety.lateral_acceleration_limit_mps2,
@@ -122,13 +122,13 @@ impl Gate {
         Self { limits, speed_mps: 0.0, acceleration_mps2: 0.0, steering_rad: 0.0 }
     }
 
-    /// Behind a vehicle at rest.
+    /// Starts again for a vehicle at rest.
     pub fn reset(&mut self) {
         self.resume(0.0, 0.0);
     }
 
-    /// Behind a vehicle that moves, with the speed and steering angle that were measured: brought within the limits,
-    /// which the next commands start from. What is not finite counts as 0.
+    /// Starts again for a vehicle that moves, with the measured speed and steering angle. The next commands start from
+    /// these values, brought within the limits. A value that is not finite counts as 0.
     pub fn resume(&mut self, speed_mps: f64, steering_rad: f64) {
         let or_zero = |number: f64| if number.is_finite() { number } else { 0.0 };
         let limit_rad = self.limits.steering_rad;
@@ -148,15 +148,15 @@ impl Gate {
         self.speed_mps
     }
 
-    /// Passes a command `dt_s` behind the last one, changed where a limit asks for it. `allowed_mps` is what the
+    /// Passes a command `dt_s` after the last one, changed where a limit requires it. `allowed_mps` is what the
     /// [`SpeedGovernor`](crate::SpeedGovernor) allows.
-    pub fn pass(&mut self, dt_s: f64, allowed_mps: f64, wanted: Wanted) -> Passed {
-        if !wanted.is_finite() {
+    pub fn pass(&mut self, dt_s: f64, allowed_mps: f64, raw: RawCommand) -> Passed {
+        if !raw.is_finite() {
             let mut slower = self.slow_down(dt_s);
             slower.change.rejected = true;
             return slower;
         }
-        let Wanted { speed_mps, yaw_rate_radps, steering_rad } = wanted;
+        let RawCommand { speed_mps, yaw_rate_radps, steering_rad } = raw;
         let limited_mps =
             speed_mps.min(self.limits.speed_mps.min(allowed_mps)).max(-self.limits.reverse_mps);
         let mut passed = self.shape(dt_s, limited_mps, f64::INFINITY, steering_rad);
@@ -178,7 +178,7 @@ impl Gate {
     /// Goes as near to a wanted speed and steering angle as the limits allow, slowing down by at most `braking_mps2`.
     fn shape(&mut self, dt_s: f64, wanted_mps: f64, braking_mps2: f64, wanted_rad: f64) -> Passed {
         let limits = self.limits;
-        // In two steps, because a clamp would keep a time that is no number.
+        // In two steps, because a clamp would keep a time that is NaN.
         let at_least_s = dt_s.max(SHORTEST_S);
         let dt_s = at_least_s.min(LONGEST_S);
         let (floor_mps, cap_mps) = limits.speeds_mps(self.steering_rad);
@@ -191,7 +191,7 @@ impl Gate {
         let speed_mps = gentle_mps
             .max(self.speed_mps + least_mps2 * dt_s)
             .min(self.speed_mps + most_mps2 * dt_s)
-            // Already so, but for the last bit.
+            // This holds already, except for the last bit.
             .clamp(floor_mps, cap_mps);
         let acceleration_mps2 = (speed_mps - self.speed_mps) / dt_s;
 
@@ -224,8 +224,8 @@ impl Gate {
         }
     }
 
-    /// The speed after the next `dt_s` on the way to a speed, such that the acceleration is 0 when that is reached,
-    /// within the jerk limit.
+    /// The speed after the next `dt_s` on the way to a target speed, such that the acceleration is 0 when the target is
+    /// reached, within the jerk limit.
     ///
     /// An acceleration a held for dt and then taken back takes the speed by at most a·dt + a²/2j; solved for a.
     fn approach_mps(&self, dt_s: f64, target_mps: f64) -> f64 {

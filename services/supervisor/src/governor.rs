@@ -2,11 +2,11 @@
 
 use config::RunConfig;
 
-/// Keeps the vehicle itself below the speed limit, where a limited command alone would not: a speed controller that
-/// has wound up goes on beyond what it is told.
+/// Keeps the vehicle itself below the speed limit, where a limited command alone would not: a speed controller whose
+/// integral part has wound up exceeds its command.
 ///
-/// It looks a moment ahead by the acceleration since the last tick. Where that comes nearer to the limit than a
-/// margin, it allows the less the farther it comes; far from the limit it allows all of it.
+/// It looks a moment ahead by the acceleration since the last tick. If the predicted speed comes nearer to the limit
+/// than a margin, it allows a lower speed, the lower the nearer it comes; far from the limit it allows the full speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpeedGovernor {
     limit_mps: f64,
@@ -31,13 +31,13 @@ impl SpeedGovernor {
         }
     }
 
-    /// Back to rest.
+    /// Returns to the state at rest.
     pub fn reset(&mut self) {
         self.last_mps = None;
     }
 
-    /// The highest speed that may be commanded, with the speed that was measured now. A measurement that is not
-    /// finite is taken for the last one that was.
+    /// The highest speed that may be commanded, given the speed that is measured now. If the measurement is not
+    /// finite, the last one that was finite stands in for it.
     pub fn allowed_mps(&mut self, measured_mps: f64) -> f64 {
         let last_mps = self.last_mps.unwrap_or_default();
         let now_mps = if measured_mps.is_finite() { measured_mps } else { last_mps };
@@ -62,12 +62,12 @@ mod tests {
         let mut layers = Layers::maneuver("circuit").unwrap();
         layers.set("supervisor.speed_margin_mps=0.1").unwrap();
         let mut governor = SpeedGovernor::new(&layers.resolve().unwrap());
-        // Slow, or near the limit but not getting faster: all of it.
+        // Slow, or near the limit but not getting faster: the full speed is allowed.
         assert_eq!(governor.allowed_mps(0.0), 4.0);
         assert_eq!(governor.allowed_mps(0.02), 4.0);
         governor.reset();
         assert_eq!((governor.allowed_mps(3.85), governor.allowed_mps(3.85)), (4.0, 4.0));
-        // Getting faster: less, long before the limit.
+        // Getting faster: less is allowed, long before the limit.
         let nearing = governor.allowed_mps(3.87);
         assert!(nearing < 3.9, "{nearing}");
         assert!(governor.allowed_mps(3.95) < nearing);

@@ -1,23 +1,23 @@
-//! What the gate does about faults: a small state machine, one a vehicle.
+//! What the gate does about faults: a small state machine for each vehicle.
 
 use config::RunConfig;
 use ipc_types::Safety;
 
-/// How the vehicle is let drive.
+/// How the vehicle is allowed to drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum State {
     /// Commands pass, within limits.
     Normal,
-    /// Something is missing or implausible: slower, with the steering held, until it is well again.
+    /// Something is missing or implausible: the vehicle slows down with its steering held, until all is well again.
     Degraded,
-    /// It lasted too long: to a stop, straight on.
+    /// That lasted too long: the vehicle stops, steering straight.
     Stopping,
-    /// The vehicle stands; nothing but a rearm lets it drive again.
+    /// The vehicle stands; only a rearm lets it drive again.
     Stopped,
 }
 
 impl State {
-    /// The state's number on the wire, one of [`Safety::NORMAL`] and the values behind it.
+    /// The state's number on the wire: [`Safety::NORMAL`] or one of the values after it.
     pub fn number(self) -> u32 {
         match self {
             Self::Normal => Safety::NORMAL,
@@ -27,7 +27,7 @@ impl State {
         }
     }
 
-    /// Whether nothing but a rearm leads back to normal.
+    /// Whether only a rearm leads back to normal.
     pub fn is_latched(self) -> bool {
         matches!(self, Self::Stopping | Self::Stopped)
     }
@@ -57,7 +57,7 @@ impl Guard {
         }
     }
 
-    /// Takes the faults that there are now, `dt_s` behind the last time, with the speeds of the last command and of the
+    /// Takes the present faults, `dt_s` after the last call, with the speeds of the last command and of the
     /// vehicle.
     pub fn update(
         &mut self,
@@ -83,7 +83,7 @@ impl Guard {
             }
             State::Stopping => {
                 let stands = commanded_mps.abs().max(measured_mps.abs()) < self.standstill_mps;
-                // A speed that nobody has measured lately says nothing.
+                // A speed that has not been measured lately says nothing.
                 if stands && faults & Safety::ODOMETRY_STALE == 0 {
                     self.state = State::Stopped;
                 }
@@ -101,8 +101,8 @@ impl Guard {
         }
     }
 
-    /// Lets a stopped vehicle drive again, if nothing is wrong but what a standing vehicle cannot help: that the
-    /// controller's reference stands still. Whether it does.
+    /// Lets a stopped vehicle drive again, if nothing is wrong except what is unavoidable while it stands: that the
+    /// controller's reference stands still. Returns whether it does.
     pub fn rearm(&mut self, faults: u32) -> bool {
         let ready = self.state == State::Stopped && faults & !Safety::COMMAND_STALE == 0;
         if ready {

@@ -4,7 +4,7 @@ use config::RunConfig;
 use ipc_types::Safety;
 use tracking::{Pose, wrap_angle};
 
-/// What the vehicle says of its movement at one tick.
+/// What the vehicle reports about its movement at one tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Movement {
     /// Measured pose of the tracked point.
@@ -15,7 +15,7 @@ pub struct Movement {
     pub yaw_rate_radps: f64,
 }
 
-/// Compares each odometry with the last one that was believed.
+/// Compares each odometry message with the last one that was believed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plausibility {
     last: Option<(u64, Movement)>,
@@ -26,20 +26,20 @@ pub struct Plausibility {
 }
 
 impl Plausibility {
-    /// Believes the first odometry that comes, if it is finite.
+    /// Believes the first odometry message, if it is finite.
     pub fn new(config: &RunConfig) -> Self {
         let safety = config.vehicle.safety;
         Self {
             last: None,
             tick_s: config.drive.tick_s,
-            // The speed is that of the rear axle: the tracked point turns around it.
+            // The speed is that of the rear axle; the tracked point turns around it.
             reach_m: config.vehicle.tracked_point_m.abs(),
             limit_m: safety.jump_limit_m,
             limit_rad: safety.jump_limit_rad,
         }
     }
 
-    /// Forgets what was believed: the next finite odometry will be.
+    /// Forgets what was believed: the next finite odometry is believed.
     pub fn forget(&mut self) {
         self.last = None;
     }
@@ -74,7 +74,7 @@ impl Plausibility {
         let rate_radps = last.yaw_rate_radps.abs().max(now.yaw_rate_radps.abs());
         let speed_mps = last.speed_mps.abs().max(now.speed_mps.abs()) + rate_radps * self.reach_m;
         let moved_m = libm::hypot(now.pose.x_m - last.pose.x_m, now.pose.y_m - last.pose.y_m);
-        // A yaw that wraps has not jumped.
+        // A yaw that wraps around has not jumped.
         let turned_rad = wrap_angle(now.pose.yaw_rad - last.pose.yaw_rad);
         moved_m > speed_mps * dt_s + self.limit_m
             || turned_rad.abs() > rate_radps * dt_s + self.limit_rad

@@ -1,7 +1,10 @@
-//! The supervisor's process: it stands in the command path, and tells the zone.
+//! The supervisor's process: it stands in the command path, and announces the zone.
 //!
-//! In lockstep it answers each raw command, and knows vehicle time only. In real time it also looks at the clock: where
-//! no answer is young enough it sends commands of its own.
+//! In `lockstep` it answers each raw command, and knows vehicle time only. Otherwise it also acts `by_the_clock`: if
+//! no answer is recent enough, it sends commands of its own.
+
+mod by_the_clock;
+mod lockstep;
 
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
@@ -13,7 +16,8 @@ use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
 use tracking::{Pose, ZoneTracker};
 
-use crate::{Movement, State, Wanted, Watch};
+use crate::{Movement, State, Watch};
+use by_the_clock::Clocked;
 
 /// Runs the process until it is asked to stop.
 ///
@@ -35,7 +39,8 @@ struct Supervisor {
     rearms: Inlet<Rearm>,
     commands: Outlet<Command>,
     zones: Outlet<Zone>,
-    /// Made before the outlet of `safety`: who meets a newcomer in this order hands it both, or this one alone.
+    /// Made before the outlet of `safety`: publishers notice a new reader in this order, so that it receives both
+    /// histories, or only this one.
     kept_law_states: Outlet<KeptLawState>,
     safety: Outlet<Safety>,
     run: u64,
@@ -48,39 +53,13 @@ struct Supervisor {
     /// Zones that begin with the next tick.
     entered: Vec<Zone>,
     batch: BatchHeader,
-    /// A raw command of a batch whose request has not come yet: the two travel on different topics. So with odometry
-    /// that came before the raw command ahead of it was answered.
+    /// A raw command of a batch whose request has not come yet: the two travel on different topics. Odometry
+    /// that came before the preceding raw command was answered is held in the same way.
     early: Option<Received<RawCommand>>,
     early_odometry: Option<Received<Odometry>>,
-    /// What real time adds to a batch.
+    /// The additional state of a batch in real time.
     clocked: Option<Clocked>,
     counters: Counters,
-}
-
-/// A batch in real time.
-struct Clocked {
-    /// Header of the newest odometry.
-    seen: Option<TickHeader>,
-    /// Stamp of the odometry that the newest answer belongs to; that of the first odometry before there is one.
-    answered_ns: u64,
-    /// The newest answer, and the ticks' reference with it.
-    has_reference: bool,
-    /// When the last command was sent; 0 before the first.
-    sent_ns: u64,
-    /// Whether the drives had begun before this process did, and no answer has told yet how they stand.
-    joins: bool,
-    /// The laws' newest states, one a slot; empty before the first. Not in the slots: no other mode has them, and a fleet
-    /// is to fit into the cache.
-    law_states: Vec<KeptLawState>,
-}
-
-impl Clocked {
-    /// [`Safety::ODOMETRY_STALE`] if there is no odometry that is young enough.
-    fn odometry_faults(&self, now_ns: u64, age_limit_ns: u64) -> u32 {
-        let seen_ns = self.seen.map_or(0, |seen| seen.odometry_sent_ns);
-        let is_stale = now_ns.saturating_sub(seen_ns) > age_limit_ns;
-        if is_stale { Safety::ODOMETRY_STALE } else { 0 }
-    }
 }
 
 struct Slot {
@@ -88,7 +67,7 @@ struct Slot {
     watch: Watch,
     measured: Pose,
     zone: usize,
-    /// The newest answer, and the tick that it belongs to.
+    /// The newest answer, and the tick to which it belongs.
     raw: RawCommand,
     raw_tick: u64,
     ended: bool,
@@ -143,37 +122,12 @@ impl Supervisor {
         }));
         self.batch = header;
         if requests.iter().any(|request| has(request.flags, DriveRequest::REAL_TIME)) {
-            self.clocked = Some(Clocked {
-                seen: None,
-                answered_ns: 0,
-                has_reference: false,
-                sent_ns: 0,
-                joins: header.sent_ns < self.started_ns,
-                law_states: Vec::new(),
-            });
+            self.clocked = Some(Clocked::new(header.sent_ns < self.started_ns));
         }
     }
 
     fn is_of_batch(&self, header: TickHeader, len: usize) -> bool {
         header.attempt == self.batch.attempt && len == self.slots.len() && len > 0
-    }
-
-    fn see(&mut self, header: TickHeader, odometry: &[Odometry]) {
-        if !self.is_of_batch(header, odometry.len()) {
-            return;
-        }
-        let joins = self.clocked.as_ref().is_some_and(|it| it.joins && it.seen.is_none());
-        for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
-            let believed = slot.see(header.tick, odometry, joins);
-            self.counters.rejected += u64::from(!believed);
-        }
-        if let Some(clocked) = &mut self.clocked {
-            // The clock begins with the first tick: before it, the vehicle is still on its way to the start.
-            if clocked.seen.is_none() {
-                clocked.answered_ns = header.odometry_sent_ns;
-            }
-            clocked.seen = Some(header);
-        }
     }
 
     /// Answers a raw command.
@@ -186,173 +140,11 @@ impl Supervisor {
         if self.clocked.is_none() {
             return self.pass_in_lockstep(header, raw, received_ns);
         }
-        if !self.is_young(header, received_ns) {
-            self.counters.late += 1;
-            return Ok(());
-        }
-        self.hear_out(header, raw)?;
-        self.send(header, received_ns, true)
-    }
-
-    /// The same where nothing happens between odometry, answer and command: all of them for one vehicle after the
-    /// other, since a fleet does not fit into the nearest cache.
-    fn pass_in_lockstep(
-        &mut self,
-        header: TickHeader,
-        raw: &[RawCommand],
-        received_ns: u64,
-    ) -> Result<()> {
-        let odometry = self.odometry_of(header)?;
-        let seen = odometry.as_ref().map_or(&[][..], Received::items);
-        self.entered.clear();
-        self.counters.batch = header.attempt.batch;
-        self.counters.tick = header.tick + 1;
-        let (batch, tick_s) = (self.batch, self.tick_s);
-        let Self { slots, entered, zones, counters, .. } = self;
-        let mut tells_safety = false;
-        let command = |index: usize| {
-            let slot = &mut slots[index];
-            if let Some(odometry) = seen.get(index) {
-                let believed = slot.see(header.tick, odometry, false);
-                counters.rejected += u64::from(!believed);
-            }
-            if let Some(zone) = slot.hear(header.tick, &raw[index]) {
-                let from_tick = header.tick + 1;
-                entered.push(Zone { from_tick, slot: index as u32, zone });
-            }
-            let state = slot.watch.state();
-            let (command, rejected) = slot.command(tick_s, 0, true);
-            tells_safety |= slot.watch.state() != state;
-            counters.rejected += u64::from(rejected);
-            command
-        };
-        let command = self.commands.write(raw.len(), command)?;
-        // Before the command: when the vehicle answers that, the zones must be known.
-        announce(zones, batch, entered)?;
-        let mut sent_ns = 0;
-        command.send(|now_ns| {
-            sent_ns = now_ns;
-            TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now_ns, ..header }
-        })?;
-        if tells_safety { self.tell_safety(sent_ns) } else { Ok(()) }
-    }
-
-    /// The odometry that a raw command answers, in lockstep: it came before. The first one of the next batch may have
-    /// come, too, and anything that does not belong.
-    fn odometry_of(&mut self, header: TickHeader) -> Result<Option<Received<Odometry>>> {
-        let mut next = self.early_odometry.take();
-        loop {
-            let Some(odometry) = next.map_or_else(|| self.odometry.receive(), |it| Ok(Some(it)))?
-            else {
-                return Ok(None);
-            };
-            next = None;
-            let it = odometry.header();
-            let is_of_batch = self.is_of_batch(it, odometry.items().len());
-            if is_of_batch && it.tick == header.tick {
-                return Ok(Some(odometry));
-            }
-            if it.tick == 0 && it.attempt.is_ahead_of(&header.attempt) {
-                self.early_odometry = Some(odometry);
-            }
-        }
-    }
-
-    /// Whether an answer is young enough to be passed, and newer than the one before.
-    fn is_young(&self, header: TickHeader, now_ns: u64) -> bool {
-        let Some(clocked) = &self.clocked else { return true };
-        let stamp_ns = header.odometry_sent_ns;
-        now_ns.saturating_sub(stamp_ns) <= self.answer_age_limit_ns
-            && stamp_ns >= clocked.answered_ns
-            // A stamp from the future would stay young for ever.
-            && stamp_ns <= now_ns
-    }
-
-    /// Takes over what the controller says, and announces zones that begin with the next tick, before this tick's
-    /// command.
-    fn hear_out(&mut self, header: TickHeader, raw: &[RawCommand]) -> Result<()> {
-        let mut joins = false;
-        if let Some(clocked) = &mut self.clocked {
-            clocked.answered_ns = header.odometry_sent_ns;
-            clocked.has_reference = true;
-            joins = std::mem::take(&mut clocked.joins);
-        }
-        self.keep_law_states()?;
-        self.entered.clear();
-        for (index, (slot, raw)) in self.slots.iter_mut().zip(raw).enumerate() {
-            if joins {
-                slot.tracker.resume(raw.reference_along_m);
-                if has(raw.flags, RawCommand::FROZEN) {
-                    slot.watch.stop(Safety::RESTARTED);
-                }
-            }
-            if let Some(zone) = slot.hear(header.tick, raw) {
-                let from_tick = header.tick + 1;
-                self.entered.push(Zone { from_tick, slot: index as u32, zone });
-            }
-        }
-        announce(&self.zones, self.batch, &self.entered)
-    }
-
-    /// Takes over what the laws must not lose. It was sent before the raw command.
-    fn keep_law_states(&mut self) -> Result<()> {
-        let Some(states) = self.law_states.receive_newest()? else { return Ok(()) };
-        let len = states.items().len();
-        let Some(clocked) = &mut self.clocked else { return Ok(()) };
-        if states.header().attempt != self.batch.attempt || len != self.slots.len() {
-            self.counters.dropped += 1;
-            return Ok(());
-        }
-        let kept = states.items().iter().map(|state| {
-            let LawState { tick, slot, count, numbers } = *state;
-            KeptLawState { tick, slot, count, numbers }
-        });
-        clocked.law_states.clear();
-        clocked.law_states.extend(kept);
-        Ok(())
-    }
-
-    /// Sends a command in real time: what the raw command wants, if it is an answer, within limits; else one of our own.
-    fn send(&mut self, header: TickHeader, received_ns: u64, is_answer: bool) -> Result<()> {
-        let now = now_ns();
-        let (mut dt_s, mut faults) = (self.tick_s, 0);
-        if let Some(clocked) = &mut self.clocked {
-            if clocked.sent_ns > 0 {
-                dt_s = ((now - clocked.sent_ns) as f64 / 1e9).min(self.tick_s);
-            }
-            clocked.sent_ns = now;
-            faults |= clocked.odometry_faults(now, self.answer_age_limit_ns);
-        }
-        self.counters.batch = header.attempt.batch;
-        self.counters.tick = header.tick + 1;
-        let Self { slots, counters, .. } = self;
-        let header =
-            TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now, ..header };
-        self.commands.send(header, slots.len(), |index| {
-            let slot = &mut slots[index];
-            // Behind a rearm the reference stands still until the controller has heard of it.
-            let is_frozen = has(slot.raw.flags, RawCommand::FROZEN);
-            let (command, rejected) = slot.command(dt_s, faults, is_answer && !is_frozen);
-            counters.rejected += u64::from(rejected);
-            command
-        })?;
-        // Every command tells it: a controller that joins needs the last one.
-        self.tell_law_states(now)?;
-        self.tell_safety(now)
-    }
-
-    /// Hands on what the laws must not lose, once it is known.
-    fn tell_law_states(&mut self, now_ns: u64) -> Result<()> {
-        let Some(Clocked { law_states: kept, .. }) = &self.clocked else { return Ok(()) };
-        if !kept.is_empty() {
-            let batch = BatchHeader { flags: 0, sent_ns: now_ns, ..self.batch };
-            self.kept_law_states.send_quietly(batch, kept.len(), |index| kept[index])?;
-        }
-        Ok(())
+        self.pass_by_the_clock(header, raw, received_ns)
     }
 
     fn tell_safety(&mut self, now_ns: u64) -> Result<()> {
-        let has_reference = self.clocked.as_ref().is_none_or(|clocked| clocked.has_reference);
+        let has_reference = self.clocked.as_ref().is_none_or(Clocked::has_reference);
         let slots = &self.slots;
         let batch = BatchHeader { flags: 0, sent_ns: now_ns, ..self.batch };
         self.safety.send(batch, slots.len(), |index| {
@@ -367,50 +159,6 @@ impl Supervisor {
         })?;
         Ok(())
     }
-
-    /// Lets stopped vehicles drive again that somebody has rearmed.
-    fn hear_rearms(&mut self) -> Result<bool> {
-        let Some(rearm) = self.rearms.receive()? else { return Ok(false) };
-        let Some(clocked) =
-            self.clocked.as_ref().filter(|_| rearm.header().attempt.is_of(self.run))
-        else {
-            self.counters.dropped += 1;
-            return Ok(true);
-        };
-        let faults = clocked.odometry_faults(now_ns(), self.answer_age_limit_ns);
-        for rearm in rearm.items() {
-            let slot = self.slots.get_mut(rearm.slot as usize);
-            let rearmed = slot.is_some_and(|slot| slot.watch.rearm(faults));
-            tracing::info!(slot = rearm.slot, rearmed, "rearm");
-        }
-        Ok(true)
-    }
-
-    /// When the next command of our own is due, if no answer comes; none in lockstep, before the first odometry, and
-    /// when all drives have ended.
-    fn own_due_ns(&self) -> Option<u64> {
-        let clocked = self.clocked.as_ref()?;
-        clocked.seen?;
-        if self.slots.iter().all(|slot| slot.ended) {
-            return None;
-        }
-        let too_old_ns = clocked.answered_ns + self.answer_age_limit_ns;
-        Some(too_old_ns.max(clocked.sent_ns + (self.tick_s * 1e9) as u64))
-    }
-
-    /// Sends a command of our own, if it is time for it.
-    fn look_at_clock(&mut self) -> Result<bool> {
-        let now = now_ns();
-        let Some(seen) = self.clocked.as_ref().and_then(|clocked| clocked.seen) else {
-            return Ok(false);
-        };
-        if self.own_due_ns().is_none_or(|due_ns| now < due_ns) {
-            return Ok(false);
-        }
-        // Nobody answered: the stamps of the controller are not ours to fill.
-        self.send(seen, now, false)?;
-        Ok(true)
-    }
 }
 
 /// Announces zones that begin with the next tick.
@@ -423,7 +171,7 @@ fn announce(zones: &Outlet<Zone>, batch: BatchHeader, entered: &[Zone]) -> Resul
 }
 
 impl Slot {
-    /// Takes odometry; whether it could be believed.
+    /// Takes odometry; returns whether it could be believed.
     fn see(&mut self, tick: u64, odometry: &Odometry, joins: bool) -> bool {
         let WirePose { x_m, y_m, yaw_rad } = odometry.measured;
         let pose = Pose { x_m, y_m, yaw_rad };
@@ -439,7 +187,7 @@ impl Slot {
         faults == 0
     }
 
-    /// Takes over what the controller says; the zone that the vehicle has entered, if there is one.
+    /// Takes over what the controller reports; returns the zone that the vehicle has entered, if any.
     fn hear(&mut self, tick: u64, raw: &RawCommand) -> Option<u32> {
         self.raw = *raw;
         self.raw_tick = tick;
@@ -453,19 +201,19 @@ impl Slot {
         is_new.then_some(zone as u32)
     }
 
-    /// What the raw command wants, if it is an answer, within limits; else a command of our own. And whether the raw
-    /// command was no number.
+    /// What the raw command wants, within limits, if it is an answer; otherwise a command of our own. Also returns
+    /// whether the raw command was not finite.
     fn command(&mut self, dt_s: f64, faults: u32, is_answer: bool) -> (Command, bool) {
-        let wanted = is_answer.then_some(Wanted {
+        let raw = is_answer.then_some(crate::RawCommand {
             speed_mps: self.raw.speed_mps,
             yaw_rate_radps: self.raw.yaw_rate_radps,
             steering_rad: self.raw.steering_rad,
         });
-        let passed = self.watch.command(dt_s, faults, wanted);
+        let passed = self.watch.command(dt_s, faults, raw);
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
         let change = passed.change;
         let command = Command {
-            // A drive that has ended is no reason to go on.
+            // A slot whose drive has ended does not keep the batch going.
             speed_mps: if self.ended { 0.0 } else { passed.speed_mps },
             yaw_rate_radps: passed.yaw_rate_radps,
             steering_rad: passed.steering_rad,
@@ -495,8 +243,8 @@ impl Service for Supervisor {
         if raw.is_none()
             && let Some(request) = self.requests.receive_newest()?
         {
-            // The last raw command of a batch is sent before its report, and so before the next request: whoever
-            // records is owed its command.
+            // The last raw command of a batch is sent before its report, and so before the next request: the
+            // recorder must still get the command for it.
             while let Some(raw) = self.raw_commands.receive()? {
                 if self.is_of_batch(raw.header(), raw.items().len()) {
                     self.pass(raw.header(), raw.items())?;
@@ -508,7 +256,7 @@ impl Service for Supervisor {
             return Ok(true);
         }
         if self.clocked.is_some() {
-            // In lockstep nothing stops for good.
+            // In lockstep no vehicle is stopped for good.
             if self.hear_rearms()? {
                 return Ok(true);
             }
@@ -517,14 +265,14 @@ impl Service for Supervisor {
         let is_new = raw.is_some();
         let raw = match (raw, self.early.take()) {
             (Some(new), held) => {
-                // What was held belongs to nothing that anybody asked for.
+                // What was held belongs to no batch that was requested.
                 self.counters.dropped += u64::from(held.is_some());
                 Some(new)
             }
             (None, held) => held,
         };
         // The raw command is looked for first: the pose that it answers was there before it. In real time odometry counts
-        // even when nobody answers it.
+        // even if it is never answered.
         if self.clocked.is_some()
             && let Some(odometry) = self.odometry.receive_newest()?
         {
@@ -533,7 +281,7 @@ impl Service for Supervisor {
         let Some(raw) = raw else { return self.look_at_clock() };
         if raw.header().attempt.is_ahead_of(&self.batch.attempt) {
             self.early = Some(raw);
-            // The request that it waits for may be here already, and nobody wakes us for it again.
+            // The request that it waits for may be here already, and there will be no second wake-up for it.
             return Ok(is_new);
         }
         self.pass(raw.header(), raw.items())?;
@@ -583,7 +331,8 @@ mod tests {
 
         see(at(1, 0), 0.25);
         want(at(1, 0), 0);
-        // News, although there is nothing to be done: the request may have come meanwhile, and its wake-up is over.
+        // Counts as progress although there is nothing to do: the request may have come meanwhile, and its wake-up is
+        // over.
         assert!(supervisor.poll().unwrap());
         assert!(!supervisor.poll().unwrap());
         ask(1);
@@ -592,7 +341,7 @@ mod tests {
         assert_eq!(commands.receive().unwrap().unwrap().header().attempt.batch, 1);
         assert_eq!(supervisor.slots[0].measured.x_m, 0.25);
 
-        // The next batch begins before this one's last raw command is answered: each has its own odometry.
+        // The next batch begins before the last raw command of this one is answered: each has its own odometry.
         see(at(1, 1), 0.5);
         want(at(1, 1), Command::ENDED);
         see(at(2, 0), 0.75);
@@ -635,7 +384,7 @@ mod tests {
             while supervisor.poll().unwrap() {}
             kept.receive_newest().unwrap().map(|it| (it.header().attempt, it.items()[0]))
         };
-        // Nothing is known, and nothing is told.
+        // Nothing is known, so nothing is reported.
         assert_eq!(answer(0, None), None);
         let mut state = LawState { tick: 1, count: 2, ..LawState::default() };
         state.numbers[..2].copy_from_slice(&[0.25, -3.0]);

@@ -1,9 +1,9 @@
-//! Everything that the supervisor keeps for one vehicle, joined: what is believed, the state, the gate.
+//! Everything that the supervisor keeps for one vehicle: the movement that is believed, the state, and the gate.
 
 use config::RunConfig;
 use ipc_types::Safety;
 
-use crate::{Gate, Guard, Movement, Passed, Plausibility, SpeedGovernor, State, Wanted};
+use crate::{Gate, Guard, Movement, Passed, Plausibility, RawCommand, SpeedGovernor, State};
 
 /// The supervisor of one vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,7 +37,7 @@ impl Watch {
         }
     }
 
-    /// Goes on with a vehicle that drives already, of which nothing was known: slowly, until everything is well.
+    /// Goes on with a vehicle that is driving already and of which nothing was known: slowly, until all is well.
     pub fn resume(&mut self, movement: Movement, steering_rad: f64) {
         self.gate.resume(movement.speed_mps, steering_rad);
     }
@@ -45,7 +45,7 @@ impl Watch {
     /// Takes odometry. What is wrong with it, as bits of [`Safety::reasons`]; 0 if it is believed.
     pub fn see(&mut self, tick: u64, movement: Movement) -> u32 {
         if self.guard.state() == State::Stopped {
-            // Somebody may have pushed it.
+            // The vehicle may have been pushed.
             self.plausibility.forget();
         }
         self.odometry_faults = self.plausibility.check(tick, movement);
@@ -56,11 +56,11 @@ impl Watch {
         self.odometry_faults
     }
 
-    /// The command of a moment that lies `dt_s` behind the last one: what is wanted, within limits, or one of the
-    /// supervisor's own. `faults` are those of the loop, beside what the odometry and the numbers show.
-    pub fn command(&mut self, dt_s: f64, faults: u32, wanted: Option<Wanted>) -> Passed {
-        let usable = wanted.filter(|wanted| wanted.is_finite());
-        let missing = match (wanted, usable) {
+    /// The command at a moment `dt_s` after the last one: the raw command, within limits, or one of the
+    /// supervisor's own. `faults` are those of the loop, in addition to what the odometry and the numbers show.
+    pub fn command(&mut self, dt_s: f64, faults: u32, raw: Option<RawCommand>) -> Passed {
+        let usable = raw.filter(|raw| raw.is_finite());
+        let missing = match (raw, usable) {
             (_, Some(_)) => 0,
             (Some(_), None) => Safety::COMMAND_INVALID,
             (None, None) => Safety::COMMAND_STALE,
@@ -87,7 +87,7 @@ impl Watch {
         self.guard.stop(reasons);
     }
 
-    /// Lets a stopped vehicle drive again; whether it may. `faults` are those of the loop.
+    /// Lets a stopped vehicle drive again; returns whether it may. `faults` are those of the loop.
     pub fn rearm(&mut self, faults: u32) -> bool {
         self.guard.rearm(faults | self.odometry_faults)
     }
@@ -97,7 +97,7 @@ impl Watch {
         self.guard.state()
     }
 
-    /// What the supervisor tells of itself, of the last tick and the reference's clock.
+    /// What the supervisor reports about itself, the last tick and the reference's clock.
     pub fn safety(&self) -> Safety {
         Safety {
             steering_rad: self.gate.steering_rad(),

@@ -1,7 +1,7 @@
 //! The gate from outside: nothing out of limits passes, whatever comes.
 
 use config::{Layers, RunConfig};
-use supervisor::{Change, Gate, Passed, Wanted};
+use supervisor::{Change, Gate, Passed, RawCommand};
 
 const TICK_S: f64 = 0.01;
 
@@ -32,8 +32,8 @@ fn paper() -> Gate {
     Gate::new(&config(&[]))
 }
 
-fn wanted(speed_mps: f64, steering_rad: f64) -> Wanted {
-    Wanted { speed_mps, yaw_rate_radps: 0.25, steering_rad }
+fn raw(speed_mps: f64, steering_rad: f64) -> RawCommand {
+    RawCommand { speed_mps, yaw_rate_radps: 0.25, steering_rad }
 }
 
 fn near(a: f64, b: f64) -> bool {
@@ -44,7 +44,7 @@ fn near(a: f64, b: f64) -> bool {
 fn within_its_limits_a_command_passes_bit_for_bit() {
     let mut gate = paper();
     for (speed_mps, steering_rad) in [(9.0, -0.5), (-300.0, 0.0), (0.1 + 0.2, 0.5235987755982988)] {
-        let passed = gate.pass(TICK_S, 9.0, wanted(speed_mps, steering_rad));
+        let passed = gate.pass(TICK_S, 9.0, raw(speed_mps, steering_rad));
         assert_eq!((passed.speed_mps, passed.steering_rad), (speed_mps, steering_rad));
         assert_eq!((passed.yaw_rate_radps, passed.change), (0.25, Change::default()));
         assert!(!passed.change.is_any());
@@ -55,55 +55,55 @@ fn within_its_limits_a_command_passes_bit_for_bit() {
 #[test]
 fn speed_and_angle_are_brought_to_their_limits() {
     let mut gate = paper();
-    let passed = gate.pass(TICK_S, 9.0, wanted(9.1, 0.6));
+    let passed = gate.pass(TICK_S, 9.0, raw(9.1, 0.6));
     assert_eq!((passed.speed_mps, passed.steering_rad), (9.0, 0.5235987755982988));
     let expected = Change { speed_limited: true, steering_limited: true, ..Change::default() };
     assert_eq!(passed.change, expected);
     assert!(passed.change.is_any());
     // What the governor allows binds, too.
-    let passed = gate.pass(TICK_S, 3.0, wanted(8.0, -0.6));
+    let passed = gate.pass(TICK_S, 3.0, raw(8.0, -0.6));
     assert_eq!((passed.speed_mps, passed.steering_rad), (3.0, -0.5235987755982988));
     assert_eq!(passed.change, expected);
     let mut gate = strict(&[
         "vehicle.safety.jerk_limit_mps3=inf",
         "vehicle.safety.deceleration_limit_mps2=inf",
     ]);
-    let passed = gate.pass(TICK_S, 9.0, wanted(-1.5, 0.0));
+    let passed = gate.pass(TICK_S, 9.0, raw(-1.5, 0.0));
     assert_eq!((passed.speed_mps, passed.change.speed_limited), (-1.0, true));
 }
 
 #[test]
 fn what_is_not_finite_slows_the_vehicle_down() {
     let numbers = [
-        Wanted { speed_mps: f64::NAN, ..wanted(1.0, 0.1) },
-        Wanted { yaw_rate_radps: f64::INFINITY, ..wanted(1.0, 0.1) },
-        Wanted { steering_rad: f64::NEG_INFINITY, ..wanted(1.0, 0.1) },
+        RawCommand { speed_mps: f64::NAN, ..raw(1.0, 0.1) },
+        RawCommand { yaw_rate_radps: f64::INFINITY, ..raw(1.0, 0.1) },
+        RawCommand { steering_rad: f64::NEG_INFINITY, ..raw(1.0, 0.1) },
     ];
     for it in numbers {
         assert!(!it.is_finite());
         let mut gate = paper();
-        gate.pass(TICK_S, 9.0, wanted(1.0, 0.1));
+        gate.pass(TICK_S, 9.0, raw(1.0, 0.1));
         let passed = gate.pass(TICK_S, 9.0, it);
         assert!(passed.change.rejected && !passed.change.speed_limited);
         // The stop's deceleration, the steering held.
         assert!(near(passed.speed_mps, 1.0 - 2.0 * TICK_S), "{}", passed.speed_mps);
         assert_eq!((passed.steering_rad, passed.yaw_rate_radps), (0.1, 0.0));
     }
-    assert!(wanted(1.0, 0.1).is_finite());
+    assert!(raw(1.0, 0.1).is_finite());
 }
 
 #[test]
 fn the_speed_changes_no_faster_than_acceleration_and_deceleration_allow() {
     let mut gate = strict(&["vehicle.safety.jerk_limit_mps3=inf"]);
-    let passed = gate.pass(TICK_S, 9.0, wanted(5.0, 0.0));
+    let passed = gate.pass(TICK_S, 9.0, raw(5.0, 0.0));
     assert!(near(passed.speed_mps, 0.02), "{}", passed.speed_mps);
     assert_eq!(passed.change, Change { acceleration_limited: true, ..Change::default() });
-    let passed = gate.pass(2.0 * TICK_S, 9.0, wanted(5.0, 0.0));
+    let passed = gate.pass(2.0 * TICK_S, 9.0, raw(5.0, 0.0));
     assert!(near(passed.speed_mps, 0.06), "{}", passed.speed_mps);
-    let passed = gate.pass(TICK_S, 9.0, wanted(-0.5, 0.0));
+    let passed = gate.pass(TICK_S, 9.0, raw(-0.5, 0.0));
     assert!(near(passed.speed_mps, 0.02), "{}", passed.speed_mps);
     // Reached: nothing is changed any more.
-    let passed = gate.pass(TICK_S, 9.0, wanted(0.03, 0.0));
+    let passed = gate.pass(TICK_S, 9.0, raw(0.03, 0.0));
     assert_eq!((passed.speed_mps, passed.change), (0.03, Change::default()));
 }
 
@@ -113,7 +113,7 @@ fn the_acceleration_changes_no_faster_than_the_jerk_allows() {
     let mut last = (0.0, 0.0);
     let mut top_mps = 0.0f64;
     for tick in 0..400 {
-        let passed = gate.pass(TICK_S, 9.0, wanted(3.0, 0.0));
+        let passed = gate.pass(TICK_S, 9.0, raw(3.0, 0.0));
         let acceleration = (passed.speed_mps - last.0) / TICK_S;
         assert!(
             (acceleration - last.1).abs() <= 1.0 + 1e-9,
@@ -132,7 +132,7 @@ fn the_acceleration_changes_no_faster_than_the_jerk_allows() {
     }
     // It comes there without going beyond.
     assert!((last.0 - 3.0).abs() < 1e-6 && top_mps <= 3.0 + 1e-9, "{last:?} {top_mps}");
-    let slowest = (0..400).map(|_| gate.pass(TICK_S, 9.0, wanted(1.0, 0.0)).speed_mps);
+    let slowest = (0..400).map(|_| gate.pass(TICK_S, 9.0, raw(1.0, 0.0)).speed_mps);
     let slowest = slowest.fold(f64::INFINITY, f64::min);
     assert!((slowest - 1.0).abs() < 1e-6, "{slowest}");
 }
@@ -141,7 +141,7 @@ fn the_acceleration_changes_no_faster_than_the_jerk_allows() {
 fn the_approach_takes_the_acceleration_that_can_just_be_taken_back() {
     // a·dt + a²/2j = 0.03 with dt = 0.1 and j = 10 is a = −1 + √1.6.
     let mut gate = strict(&["vehicle.safety.jerk_limit_mps3=10.0"]);
-    let passed = gate.pass(0.1, 9.0, wanted(0.03, 0.0));
+    let passed = gate.pass(0.1, 9.0, raw(0.03, 0.0));
     assert!(near(passed.speed_mps, 0.1 * (1.6f64.sqrt() - 1.0)), "{}", passed.speed_mps);
     assert!(passed.change.acceleration_limited);
 }
@@ -149,12 +149,12 @@ fn the_approach_takes_the_acceleration_that_can_just_be_taken_back() {
 #[test]
 fn the_steering_angle_changes_no_faster_than_its_rate() {
     let mut gate = strict(&[]);
-    let passed = gate.pass(TICK_S, 9.0, wanted(0.0, 0.3));
+    let passed = gate.pass(TICK_S, 9.0, raw(0.0, 0.3));
     assert!(near(passed.steering_rad, 0.005), "{}", passed.steering_rad);
     assert_eq!(passed.change, Change { steering_rate_limited: true, ..Change::default() });
-    let passed = gate.pass(2.0 * TICK_S, 9.0, wanted(0.0, -0.3));
+    let passed = gate.pass(2.0 * TICK_S, 9.0, raw(0.0, -0.3));
     assert!(near(passed.steering_rad, -0.005), "{}", passed.steering_rad);
-    let passed = gate.pass(TICK_S, 9.0, wanted(0.0, -0.006));
+    let passed = gate.pass(TICK_S, 9.0, raw(0.0, -0.006));
     assert_eq!((passed.steering_rad, passed.change), (-0.006, Change::default()));
 }
 
@@ -171,21 +171,21 @@ fn lateral_acceleration_bounds_the_angle_of_a_fast_car_and_the_speed_of_a_turnin
     let bound_mps = (3.0f64 * 2.875 / 0.4f64.tan()).sqrt();
     for side in [1.0, -1.0] {
         let mut gate = strict(&free);
-        let passed = gate.pass(TICK_S, 9.0, wanted(6.0, 0.5 * side));
+        let passed = gate.pass(TICK_S, 9.0, raw(6.0, 0.5 * side));
         assert_eq!(passed.speed_mps, 6.0);
         assert!(near(passed.steering_rad, bound_rad * side), "{}", passed.steering_rad);
         assert_eq!(passed.change, Change { lateral_limited: true, ..Change::default() });
 
         let mut gate = strict(&free);
-        gate.pass(TICK_S, 9.0, wanted(0.0, 0.4 * side));
-        let passed = gate.pass(TICK_S, 9.0, wanted(6.0, 0.4 * side));
+        gate.pass(TICK_S, 9.0, raw(0.0, 0.4 * side));
+        let passed = gate.pass(TICK_S, 9.0, raw(6.0, 0.4 * side));
         assert!(near(passed.speed_mps, bound_mps), "{}", passed.speed_mps);
         assert!(near(passed.steering_rad, 0.4 * side), "{}", passed.steering_rad);
         assert_eq!(passed.change, Change { lateral_limited: true, ..Change::default() });
         // Backwards alike.
-        let passed = gate.pass(TICK_S, 9.0, wanted(-6.0, 0.4 * side));
+        let passed = gate.pass(TICK_S, 9.0, raw(-6.0, 0.4 * side));
         assert!(near(passed.speed_mps, -bound_mps), "{}", passed.speed_mps);
-        let passed = gate.pass(TICK_S, 9.0, wanted(1.0, 0.4 * side));
+        let passed = gate.pass(TICK_S, 9.0, raw(1.0, 0.4 * side));
         assert_eq!(passed.change, Change::default());
     }
 }
@@ -196,14 +196,14 @@ fn the_angle_is_one_that_the_coming_speed_allows() {
     let free =
         ["vehicle.safety.steering_rate_limit_radps=inf", "vehicle.safety.jerk_limit_mps3=10.0"];
     let mut gate = strict(&free);
-    let mut passed = gate.pass(TICK_S, 9.0, wanted(9.0, 0.0));
+    let mut passed = gate.pass(TICK_S, 9.0, raw(9.0, 0.0));
     for _ in 0..1000 {
         if passed.speed_mps >= 5.0 {
             break;
         }
-        passed = gate.pass(TICK_S, 9.0, wanted(9.0, 0.0));
+        passed = gate.pass(TICK_S, 9.0, raw(9.0, 0.0));
     }
-    let passed = gate.pass(TICK_S, 9.0, wanted(9.0, 0.5));
+    let passed = gate.pass(TICK_S, 9.0, raw(9.0, 0.5));
     let coming_mps = passed.speed_mps + 0.2;
     let bound_rad = (3.0 * 2.875 / (coming_mps * coming_mps)).atan();
     assert!((passed.steering_rad - bound_rad).abs() < 1e-9, "{}", passed.steering_rad);
@@ -211,9 +211,9 @@ fn the_angle_is_one_that_the_coming_speed_allows() {
     let mut gate = strict(&free);
     gate.resume(5.0, 0.0);
     for _ in 0..20 {
-        gate.pass(TICK_S, 9.0, wanted(0.0, 0.0));
+        gate.pass(TICK_S, 9.0, raw(0.0, 0.0));
     }
-    let passed = gate.pass(TICK_S, 9.0, wanted(0.0, 0.5));
+    let passed = gate.pass(TICK_S, 9.0, raw(0.0, 0.5));
     let bound_rad = (3.0 * 2.875 / (passed.speed_mps * passed.speed_mps)).atan();
     assert!((passed.steering_rad - bound_rad).abs() < 1e-9, "{}", passed.steering_rad);
 }
@@ -253,10 +253,10 @@ fn it_goes_on_from_what_was_measured_within_its_limits() {
     assert!(near(gate.speed_mps(), most_mps));
     // The acceleration is not what it was before.
     for _ in 0..5 {
-        gate.pass(TICK_S, 9.0, wanted(0.0, 0.0));
+        gate.pass(TICK_S, 9.0, raw(0.0, 0.0));
     }
     gate.resume(1.0, 0.0);
-    let passed = gate.pass(TICK_S, 9.0, wanted(1.0, 0.0));
+    let passed = gate.pass(TICK_S, 9.0, raw(1.0, 0.0));
     assert_eq!((passed.speed_mps, passed.change), (1.0, Change::default()));
 }
 
@@ -264,7 +264,7 @@ fn it_goes_on_from_what_was_measured_within_its_limits() {
 fn a_time_that_is_none_counts_as_the_shortest_or_the_longest() {
     let step = |dt_s: f64| {
         let mut gate = strict(&["vehicle.safety.jerk_limit_mps3=inf"]);
-        gate.pass(dt_s, 9.0, wanted(9.0, 0.0)).speed_mps
+        gate.pass(dt_s, 9.0, raw(9.0, 0.0)).speed_mps
     };
     for dt_s in [0.0, -1.0, f64::NAN, 1e-6, 1e-7] {
         assert!((step(dt_s) - 2e-6).abs() < 1e-15, "{dt_s}: {}", step(dt_s));
@@ -378,12 +378,12 @@ fn of_ten_million_commands_none_out_of_limits_passes() {
                 }
                 _ => {
                     let allowed = stream.within(0.0, limits.speed);
-                    let wanted = Wanted {
+                    let raw = RawCommand {
                         speed_mps: stream.number(limits.speed),
                         yaw_rate_radps: stream.number(10.0),
                         steering_rad: stream.number(limits.steering),
                     };
-                    gate.pass(given_s, allowed, wanted)
+                    gate.pass(given_s, allowed, raw)
                 }
             };
             let problem = check(&limits, dt_s, last, &passed);

@@ -2,7 +2,7 @@
 
 use config::{Layers, RunConfig};
 use ipc_types::Safety;
-use supervisor::{Guard, Movement, Plausibility, SpeedGovernor, State, Wanted, Watch};
+use supervisor::{Guard, Movement, Plausibility, RawCommand, SpeedGovernor, State, Watch};
 use tracking::Pose;
 
 const TICK_S: f64 = 0.01;
@@ -164,14 +164,14 @@ fn a_fault_that_is_seen_twice_is_still_one() {
     watch.command(TICK_S, Safety::COMMAND_STALE, None);
     let safety = watch.safety();
     assert_eq!((safety.state, safety.reasons), (Safety::DEGRADED, Safety::COMMAND_STALE));
-    watch.command(TICK_S, 0, Some(WANTED));
+    watch.command(TICK_S, 0, Some(RAW));
     assert_eq!(watch.see(1, at(f64::NAN)), Safety::ODOMETRY_INVALID);
-    watch.command(TICK_S, Safety::ODOMETRY_INVALID, Some(WANTED));
+    watch.command(TICK_S, Safety::ODOMETRY_INVALID, Some(RAW));
     assert_eq!(watch.safety().reasons, Safety::ODOMETRY_INVALID);
     watch.stop(Safety::RESTARTED);
     watch.see(2, at(0.0));
     for _ in 0..1000 {
-        watch.command(TICK_S, 0, Some(WANTED));
+        watch.command(TICK_S, 0, Some(RAW));
     }
     assert_eq!(watch.state(), State::Stopped);
     watch.see(3, at(f64::NAN));
@@ -216,14 +216,14 @@ fn a_yaw_that_turns_more_than_its_rate_has_jumped_and_one_that_wraps_has_not() {
     );
 }
 
-const WANTED: Wanted = Wanted { speed_mps: 2.0, yaw_rate_radps: 0.5, steering_rad: 0.1 };
+const RAW: RawCommand = RawCommand { speed_mps: 2.0, yaw_rate_radps: 0.5, steering_rad: 0.1 };
 
 #[test]
 fn a_healthy_drive_passes_and_a_sick_one_slows_down() {
     let mut watch =
         Watch::new(&config(&[&JUMPS[..], &["vehicle.safety.degraded_limit_s=0.02"]].concat()));
     assert_eq!(watch.see(0, at(0.0)), 0);
-    let passed = watch.command(TICK_S, 0, Some(WANTED));
+    let passed = watch.command(TICK_S, 0, Some(RAW));
     assert_eq!((passed.speed_mps, passed.yaw_rate_radps, passed.steering_rad), (2.0, 0.5, 0.1));
     let safety = watch.safety();
     assert_eq!(
@@ -237,21 +237,21 @@ fn a_healthy_drive_passes_and_a_sick_one_slows_down() {
     assert_eq!((watch.state(), watch.safety().reasons), (State::Degraded, Safety::COMMAND_STALE));
     assert!((passed.speed_mps - 1.98).abs() < 1e-12 && passed.steering_rad == 0.1);
     assert!(!passed.change.rejected);
-    watch.command(TICK_S, 0, Some(WANTED));
+    watch.command(TICK_S, 0, Some(RAW));
     // Something wanted that is none.
-    let passed = watch.command(TICK_S, 0, Some(Wanted { speed_mps: f64::NAN, ..WANTED }));
+    let passed = watch.command(TICK_S, 0, Some(RawCommand { speed_mps: f64::NAN, ..RAW }));
     assert!(passed.change.rejected && passed.speed_mps < 2.0);
     assert_eq!(watch.safety().reasons, Safety::COMMAND_INVALID);
-    watch.command(TICK_S, 0, Some(WANTED));
+    watch.command(TICK_S, 0, Some(RAW));
     // A fault of the loop, and one of the odometry, with an answer as good as any.
-    watch.command(TICK_S, Safety::ODOMETRY_STALE, Some(WANTED));
+    watch.command(TICK_S, Safety::ODOMETRY_STALE, Some(RAW));
     assert_eq!(watch.safety().reasons, Safety::ODOMETRY_STALE);
-    watch.command(TICK_S, 0, Some(WANTED));
+    watch.command(TICK_S, 0, Some(RAW));
     assert_eq!(watch.see(1, at(7.0)), Safety::ODOMETRY_JUMP);
-    watch.command(TICK_S, 0, Some(WANTED));
+    watch.command(TICK_S, 0, Some(RAW));
     assert_eq!((watch.safety().reasons, watch.safety().own), (Safety::ODOMETRY_JUMP, 4));
-    watch.command(TICK_S, 0, Some(WANTED));
-    let passed = watch.command(TICK_S, 0, Some(WANTED));
+    watch.command(TICK_S, 0, Some(RAW));
+    let passed = watch.command(TICK_S, 0, Some(RAW));
     assert_eq!(watch.state(), State::Stopping);
     assert_eq!(passed.steering_rad, 0.0);
 }
@@ -261,19 +261,19 @@ fn a_stopped_vehicle_may_be_pushed_and_starts_from_there() {
     let mut watch = Watch::new(&config(&JUMPS));
     watch.see(0, at(0.0));
     watch.stop(Safety::RESTARTED);
-    watch.command(TICK_S, 0, Some(WANTED));
+    watch.command(TICK_S, 0, Some(RAW));
     assert_eq!(watch.state(), State::Stopped, "it stood already");
     assert_eq!(watch.see(1, at(7.0)), 0);
-    assert_eq!(watch.command(TICK_S, 0, Some(WANTED)).speed_mps, 0.0);
+    assert_eq!(watch.command(TICK_S, 0, Some(RAW)).speed_mps, 0.0);
     // Not while its odometry is none, nor while the loop has a fault.
     assert_eq!(watch.see(2, at(f64::NAN)), Safety::ODOMETRY_INVALID);
     assert!(!watch.rearm(0));
     assert_eq!(watch.see(3, at(7.0)), 0);
     assert!(!watch.rearm(Safety::ODOMETRY_STALE));
     assert!(watch.rearm(0));
-    assert_eq!(watch.command(TICK_S, 0, Some(WANTED)).speed_mps, 2.0);
+    assert_eq!(watch.command(TICK_S, 0, Some(RAW)).speed_mps, 2.0);
     assert_eq!(watch.safety().changed, 0);
-    watch.command(TICK_S, 0, Some(Wanted { speed_mps: 100.0, ..WANTED }));
+    watch.command(TICK_S, 0, Some(RawCommand { speed_mps: 100.0, ..RAW }));
     assert_eq!(watch.safety().changed, 1);
 }
 
@@ -282,7 +282,7 @@ fn the_governor_sees_speeds_that_are_believed() {
     let mut watch = Watch::new(&config(&[]));
     watch.see(0, Movement { speed_mps: 8.5, ..at(0.0) });
     watch.see(1, Movement { speed_mps: 8.9, ..at(0.0) });
-    let fast = Wanted { speed_mps: 9.0, ..WANTED };
+    let fast = RawCommand { speed_mps: 9.0, ..RAW };
     assert!(watch.command(TICK_S, 0, Some(fast)).speed_mps < 8.0);
     let mut watch = Watch::new(&config(&[]));
     watch.see(0, Movement { speed_mps: 8.5, ..at(0.0) });
@@ -296,7 +296,7 @@ fn it_goes_on_with_a_vehicle_that_drives() {
     let mut watch = Watch::new(&config(&["vehicle.safety.acceleration_limit_mps2=1.0"]));
     watch.resume(Movement { speed_mps: 3.0, ..at(0.0) }, 0.2);
     assert_eq!(watch.safety().steering_rad, 0.2);
-    let passed = watch.command(TICK_S, 0, Some(Wanted { speed_mps: 9.0, ..WANTED }));
+    let passed = watch.command(TICK_S, 0, Some(RawCommand { speed_mps: 9.0, ..RAW }));
     assert!((passed.speed_mps - 3.01).abs() < 1e-12, "{}", passed.speed_mps);
 }
 

@@ -34,15 +34,65 @@ struct Segment {
     cos: f64,
     /// 1/m, positive to the left; 0 on a straight.
     curvature: f64,
+    /// Where it ends.
+    end: (f64, f64),
+    /// The centre of an arc's circle.
+    centre: (f64, f64),
 }
 
 impl Segment {
     fn new(from_m: f64, length_m: f64, start: Pose, curvature: f64) -> Self {
         let (sin, cos) = (libm::sin(start.yaw_rad), libm::cos(start.yaw_rad));
-        Self { from_m, length_m, start, sin, cos, curvature }
+        let mut segment = Self {
+            from_m,
+            length_m,
+            start,
+            sin,
+            cos,
+            curvature,
+            end: (0.0, 0.0),
+            centre: (0.0, 0.0),
+        };
+        let end = segment.at(length_m);
+        segment.end = (end.x_m, end.y_m);
+        if curvature != 0.0 {
+            segment.centre = (start.x_m - sin / curvature, start.y_m + cos / curvature);
+        }
+        segment
     }
 
-    /// The pose `ahead_m` behind the segment's start, also beyond its end.
+    /// Square of the distance from (x, y) to the nearest point of the segment. Computes no angle, because this is
+    /// called in every tick of every drive.
+    #[inline]
+    fn apart_squared(&self, x_m: f64, y_m: f64) -> f64 {
+        let (dx, dy) = (x_m - self.start.x_m, y_m - self.start.y_m);
+        if self.curvature == 0.0 {
+            let ahead_m = dx * self.cos + dy * self.sin;
+            let beyond_m = ahead_m - ahead_m.clamp(0.0, self.length_m);
+            let aside_m = dy * self.cos - dx * self.sin;
+            return beyond_m * beyond_m + aside_m * aside_m;
+        }
+        // From the centre: to the position, to the start, to the end.
+        let (px, py) = (x_m - self.centre.0, y_m - self.centre.1);
+        let (sx, sy) = (self.start.x_m - self.centre.0, self.start.y_m - self.centre.1);
+        let (ex, ey) = (self.end.0 - self.centre.0, self.end.1 - self.centre.1);
+        let side = self.curvature.signum();
+        let (behind_start, before_end) = (side * (sx * py - sy * px), side * (px * ey - py * ex));
+        let turn_rad = self.length_m * self.curvature.abs();
+        let is_beside = if turn_rad <= std::f64::consts::PI {
+            behind_start >= 0.0 && before_end >= 0.0
+        } else {
+            behind_start >= 0.0 || before_end >= 0.0
+        };
+        if is_beside {
+            let off_m = (px * px + py * py).sqrt() - 1.0 / self.curvature.abs();
+            return off_m * off_m;
+        }
+        let (ux, uy) = (x_m - self.end.0, y_m - self.end.1);
+        (dx * dx + dy * dy).min(ux * ux + uy * uy)
+    }
+
+    /// The pose `ahead_m` after the segment's start, also beyond its end.
     fn at(&self, ahead_m: f64) -> Pose {
         let Segment { start, sin, cos, curvature, .. } = *self;
         if curvature == 0.0 {
@@ -60,8 +110,8 @@ impl Segment {
         }
     }
 
-    /// Whether no point of the segment can be as near to (x, y) as the square root of `apart`: it is no
-    /// farther from its start than it is long. Cheap, and never true by rounding alone.
+    /// Whether no point of the segment can be as near to (x, y) as the square root of `apart`: no point of it is
+    /// farther from its start than the segment is long. Cheap, and never true by rounding alone.
     fn is_beyond(&self, x_m: f64, y_m: f64, apart: f64) -> bool {
         const ROUNDING_M: f64 = 1e-6;
         let (dx, dy) = (x_m - self.start.x_m, y_m - self.start.y_m);
@@ -151,6 +201,12 @@ impl Path {
         std::iter::once(0.0).chain(ends)
     }
 
+    /// Curvature at a distance along the path, 1/m, positive to the left; at a joint that of the later segment.
+    pub fn curvature(&self, along_m: f64) -> f64 {
+        let after = self.segments.partition_point(|segment| segment.from_m <= along_m);
+        self.segments[after.saturating_sub(1)].curvature
+    }
+
     /// The pose at a distance along the path, held at its ends. At a joint the later segment counts.
     pub fn at(&self, along_m: f64) -> Pose {
         let after = self.segments.partition_point(|segment| segment.from_m <= along_m);
@@ -164,11 +220,11 @@ impl Path {
     }
 
     /// The point of the path nearest to a position, among those at most `window_m` away from `near_m`
-    /// along the path: a path that meets itself is told apart by where the vehicle was.
+    /// along the path: where a path meets itself, the vehicle's earlier place decides.
     pub fn project(&self, x_m: f64, y_m: f64, near_m: f64, window_m: f64) -> PathPoint {
         let (low, high) = (near_m - window_m, near_m + window_m);
         let mut best: Option<(f64, PathPoint)> = None;
-        // A path through points has thousands of segments, and the window some dozen.
+        // A path through points has thousands of segments, and the window a few dozen.
         let first =
             self.segments.partition_point(|segment| segment.from_m + segment.length_m < low);
         for segment in &self.segments[first..] {
@@ -195,9 +251,80 @@ impl Path {
     }
 }
 
-/// A piece, or the parts of an arc that comes round: on a whole turn a position says nothing of the place along it.
+/// Follows a position along a path: where it is nearest, from tick to tick.
+///
+/// The search for the nearest point starts from the last one: where a path meets itself, the vehicle's earlier
+/// place decides.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PathFollower {
+    /// The segment of the nearest point.
+    segment: usize,
+}
+
+impl PathFollower {
+    /// How far beyond the ends of its segment the nearest point is looked for: many ticks of any speed.
+    const WINDOW_M: f64 = 1.0;
+
+    /// Near a place along the path.
+    pub fn new(path: &Path, along_m: f64) -> Self {
+        let after = path.segments.partition_point(|segment| segment.from_m <= along_m);
+        Self { segment: after.saturating_sub(1) }
+    }
+
+    /// Moves on to a position; returns its distance from the path.
+    #[inline]
+    pub fn distance_m(&mut self, path: &Path, x_m: f64, y_m: f64) -> f64 {
+        let segments = &*path.segments;
+        let mut best = segments[self.segment].apart_squared(x_m, y_m);
+        loop {
+            let from = self.segment;
+            let apart_m = best.sqrt();
+            let here = &segments[from];
+            let (low_m, high_m) =
+                (here.from_m - Self::WINDOW_M, here.from_m + here.length_m + Self::WINDOW_M);
+            // A position this near to a joint may be nearest to a point beyond it.
+            let is_near = |(joint_x_m, joint_y_m): (f64, f64), apart_m: f64| {
+                let (dx, dy) = (x_m - joint_x_m, y_m - joint_y_m);
+                let reach_m = apart_m + Self::WINDOW_M;
+                dx * dx + dy * dy <= reach_m * reach_m
+            };
+            for (index, next) in segments.iter().enumerate().skip(from + 1) {
+                let joint = (next.start.x_m, next.start.y_m);
+                if next.from_m > high_m || !is_near(joint, apart_m) {
+                    break;
+                }
+                let apart = next.apart_squared(x_m, y_m);
+                // The far end of a long arc may come back to the joint.
+                if apart < best && is_near(joint, apart.sqrt()) {
+                    (best, self.segment) = (apart, index);
+                }
+            }
+            for (index, last) in segments[..from].iter().enumerate().rev() {
+                if last.from_m + last.length_m < low_m || !is_near(last.end, apart_m) {
+                    break;
+                }
+                let apart = last.apart_squared(x_m, y_m);
+                if apart < best && is_near(last.end, apart.sqrt()) {
+                    (best, self.segment) = (apart, index);
+                }
+            }
+            if self.segment == from {
+                return apart_m;
+            }
+        }
+    }
+
+    /// Distance along the path of the point nearest to a position, in the present segment.
+    pub fn along_m(&self, path: &Path, x_m: f64, y_m: f64) -> f64 {
+        let segment = &path.segments[self.segment];
+        segment.from_m + segment.nearest(x_m, y_m)
+    }
+}
+
+/// A piece, or the parts of an arc that makes a full turn: on a full turn a position does not determine the place along
+/// it.
 fn parts_of(piece: &Piece) -> Vec<Piece> {
-    /// The longest arc that is left whole, and the longest of its parts otherwise.
+    /// The longest arc that stays in one part, and the largest part of a longer one.
     const WHOLE_DEG: f64 = 355.0;
     const PART_DEG: f64 = 180.0;
     match *piece {
@@ -212,11 +339,11 @@ fn parts_of(piece: &Piece) -> Vec<Piece> {
 
 /// An arc from each point to the next one, as many as there are gaps between them.
 ///
-/// Each turns by as much as the path does around it: half of what the chord before it turns into it, and
-/// half of what it turns into the chord behind. So an arc ends at the next point exactly, and the headings
+/// Each turns by as much as the path does around it: half of the angle between the previous chord and its own, and
+/// half of the angle between its own and the next chord. So an arc ends at the next point exactly, and the headings
 /// of two arcs that meet differ only by how unevenly the path bends.
 fn arcs_through(points: &[[f64; 2]]) -> Vec<Segment> {
-    /// An arc turns by no more than this, where a corner would have it turn back on itself.
+    /// An arc turns by no more than this; at a sharp corner it would otherwise turn back on itself.
     const MOST_TURN_RAD: f64 = std::f64::consts::FRAC_PI_2;
     /// An arc that turns by less is a straight: it leaves the chord by less than a millionth of its length, and
     /// the centre of its circle would lie too far away for the arithmetic.
@@ -234,7 +361,7 @@ fn arcs_through(points: &[[f64; 2]]) -> Vec<Segment> {
         let turn_rad = wrap_angle(chords[behind].1 - chords[before].1);
         2.0 * turn_rad / (chords[before].0 + chords[behind].0)
     };
-    // A circle closed on itself bends at the seam as anywhere; an open end as beside it, a lone chord not at all.
+    // A closed circle bends at the seam as everywhere; an open end bends like its neighbour, a single chord not at all.
     let seam = (points[0] == points[count]).then(|| bend(count - 1, 0));
     let inner: Vec<_> = (1..count).map(|index| bend(index - 1, index)).collect();
     let end = |beside: Option<&f64>| seam.or(beside.copied()).unwrap_or(0.0);
@@ -391,7 +518,7 @@ mod tests {
             let point = path.project(x_m, 0.5, x_m + 1.0, 3.0);
             assert!((point.along_m - x_m).abs() < 1e-6 && point.offset_m == 0.5);
         }
-        // All segments each time would be 2 billion visits.
+        // Visiting all segments each time would be 2 billion visits.
         assert!(started.elapsed().as_secs() < 5);
     }
 
@@ -417,6 +544,28 @@ mod tests {
                 let (dx, dy) = (x_m - point.pose.x_m, y_m - point.pose.y_m);
                 prop_assert!(libm::hypot(dx, dy) < 1e-2);
                 near_m = point.along_m;
+            }
+        }
+
+        #[test]
+        fn a_follower_finds_the_nearest_point_that_a_projection_finds(
+            steps in prop::collection::vec((0.0..0.4f64, -1.0..1.0f64), 1..200),
+        ) {
+            for path in [path(MIXED), path("[{kind='straight',length_m=4.0},{kind='arc',radius_m=18.0,angle_deg=-350.0}]")] {
+                let (mut follower, mut along_m) = (PathFollower::default(), 0.0);
+                for (step_m, offset_m) in &steps {
+                    along_m = f64::min(along_m + step_m, path.length_m());
+                    let pose = path.at(along_m);
+                    let x_m = pose.x_m - offset_m * libm::sin(pose.yaw_rad);
+                    let y_m = pose.y_m + offset_m * libm::cos(pose.yaw_rad);
+                    let found = path.project(x_m, y_m, along_m, 3.0);
+                    let wanted_m = libm::hypot(x_m - found.pose.x_m, y_m - found.pose.y_m);
+                    let apart_m = follower.distance_m(&path, x_m, y_m);
+                    prop_assert!((apart_m - wanted_m).abs() < 1e-7, "{apart_m} {wanted_m} at {along_m}");
+                    let here = path.at(follower.along_m(&path, x_m, y_m));
+                    let there_m = libm::hypot(x_m - here.x_m, y_m - here.y_m);
+                    prop_assert!((there_m - apart_m).abs() < 1e-7);
+                }
             }
         }
 

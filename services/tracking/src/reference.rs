@@ -9,7 +9,7 @@ use crate::{Path, Pose};
 /// The pose that the vehicle should have, tick by tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reference {
-    /// Shared by all copies: what is each vehicle's own is to fit into the nearest cache for a whole fleet.
+    /// Shared by all copies, so that the state of all vehicles of a fleet fits into the nearest cache.
     plan: Arc<Plan>,
     along_m: f64,
     /// Where its clock last started from rest, and the path's own time there.
@@ -17,7 +17,7 @@ pub struct Reference {
     origin_s: f64,
 }
 
-/// What of a reference never changes.
+/// The part of a reference that never changes.
 #[derive(Debug, Clone, PartialEq)]
 struct Plan {
     path: Path,
@@ -71,6 +71,16 @@ impl Timetable {
         last.time_s + 2.0 * apart_m / (last.speed_mps + root_mps)
     }
 
+    /// Speed at a place, which changes evenly in time between two points.
+    fn speed_mps(&self, along_m: f64) -> f64 {
+        let behind = self.rows.partition_point(|row| row.along_m <= along_m);
+        let last = self.rows[behind.saturating_sub(1)];
+        let Some(next) = self.rows.get(behind) else { return last.speed_mps };
+        let share = (along_m - last.along_m) / (next.along_m - last.along_m);
+        let (from, to) = (last.speed_mps * last.speed_mps, next.speed_mps * next.speed_mps);
+        (from + share * (to - from)).max(0.0).sqrt()
+    }
+
     /// Distance run after a time, held at the end.
     fn along_m(&self, time_s: f64) -> f64 {
         let behind = self.rows.partition_point(|row| row.time_s <= time_s);
@@ -83,10 +93,10 @@ impl Timetable {
 }
 
 impl Reference {
-    /// How far from the last projection the next one is looked for, with [`Advance::Projection`].
+    /// With [`Advance::Projection`], how far from the last projection the next one is looked for.
     const WINDOW_M: f64 = 3.0;
 
-    /// How far from the reference a vehicle is looked for first that has been stopped on its way.
+    /// How far from the reference to look first for a vehicle that was stopped during its drive.
     const FAR_M: f64 = 20.0;
 
     /// The reference of a configuration, at the start of its path.
@@ -106,7 +116,7 @@ impl Reference {
         Self { plan: Arc::new(plan), along_m: 0.0, origin_m: 0.0, origin_s: 0.0 }
     }
 
-    /// Moves to `tick` of its clock, with the pose that was measured there, and returns the reference pose.
+    /// Moves to `tick` of its clock, with the pose that was measured then, and returns the reference pose.
     pub fn advance(&mut self, tick: u64, measured: Pose) -> Pose {
         match self.plan.advance {
             Advance::Time => {
@@ -122,12 +132,12 @@ impl Reference {
         }
     }
 
-    /// Back to the start of the path.
+    /// Returns to the start of the path.
     pub fn reset(&mut self) {
         self.restart_at(0.0);
     }
 
-    /// At a place along the path, at rest, with the clock at 0.
+    /// Starts again from a place along the path, at rest, with the clock at 0.
     pub fn restart_at(&mut self, origin_m: f64) {
         self.origin_m = origin_m;
         self.origin_s = self.plan.timetable.as_ref().map_or(0.0, |it| it.time_s(origin_m));
@@ -139,7 +149,8 @@ impl Reference {
         self.origin_m
     }
 
-    /// The place of the path nearest to a pose: near the reference, if the path lies near the pose there, else anywhere.
+    /// The place of the path nearest to a pose: near the reference, if the path is near the pose there, otherwise
+    /// anywhere.
     pub fn projection_m(&self, pose: Pose) -> f64 {
         let within = |window_m| self.plan.path.project(pose.x_m, pose.y_m, self.along_m, window_m);
         let near = within(Self::FAR_M);
@@ -152,6 +163,35 @@ impl Reference {
         self.along_m.min(self.plan.path.length_m())
     }
 
+    /// The path itself.
+    pub fn path(&self) -> &Path {
+        &self.plan.path
+    }
+
+    /// The place of the reference pose along the path, held at its end.
+    pub fn pose_along_m(&self) -> f64 {
+        (self.along_m + self.ahead_m()).min(self.plan.path.length_m())
+    }
+
+    /// How far the reference pose lies ahead of the progress: only with [`Advance::Projection`].
+    fn ahead_m(&self) -> f64 {
+        if self.plan.advance == Advance::Projection { self.plan.lookahead_m } else { 0.0 }
+    }
+
+    /// The reference's speed at `tick` of its clock; 0 once it has come to the end of the path.
+    pub fn speed_mps(&self, tick: u64) -> f64 {
+        let Plan { timetable, speed_mps, ramp_s, tick_s, advance, .. } = &*self.plan;
+        if *advance == Advance::Projection {
+            return *speed_mps;
+        }
+        if self.at_end() {
+            return 0.0;
+        }
+        let time_s = tick as f64 * tick_s;
+        let share = if time_s < *ramp_s { time_s / ramp_s } else { 1.0 };
+        share * timetable.as_ref().map_or(*speed_mps, |table| table.speed_mps(self.along_m))
+    }
+
     /// Pose of the path's end.
     pub fn end(&self) -> Pose {
         self.plan.end
@@ -159,17 +199,15 @@ impl Reference {
 
     /// Whether the reference has reached the end of the path.
     pub fn at_end(&self) -> bool {
-        let ahead_m =
-            if self.plan.advance == Advance::Projection { self.plan.lookahead_m } else { 0.0 };
-        self.along_m + ahead_m >= self.plan.path.length_m()
+        self.along_m + self.ahead_m() >= self.plan.path.length_m()
     }
 
     /// Place along the path after a time: a linear ramp from rest, then the set speed, or the path's own.
     fn distance_after(&self, time_s: f64) -> f64 {
         let Plan { timetable, speed_mps, ramp_s, .. } = &*self.plan;
         if let Some(timetable) = timetable {
-            // The ramp stretches time, as it does at a set speed: the path's speeds are reached where
-            // they stand, and the one at the end of the ramp without a jump.
+            // The ramp stretches time, as it does at a set speed: each of the path's speeds is reached at its
+            // place, and there is no jump at the end of the ramp.
             let at_speed_s = if time_s < *ramp_s {
                 0.5 * time_s * time_s / ramp_s
             } else {
@@ -212,7 +250,7 @@ mod tests {
         assert!(!reference.at_end());
     }
 
-    /// A straight of 10 m in 41 points with the speeds that `speed_mps` tells by the place.
+    /// A straight of 10 m in 41 points, with the speed that `speed_mps` gives for each place.
     fn straight(ramp_s: f64, speed_mps: impl Fn(f64) -> f64) -> Reference {
         let mut layers = Layers::maneuver("lane_change").unwrap();
         layers.set(&format!("reference.ramp_s={ramp_s:?}")).unwrap();
@@ -241,6 +279,8 @@ mod tests {
                         (speed_mps - wanted_mps).abs() < 0.02,
                         "{tick}: {speed_mps} {wanted_mps}"
                     );
+                    let told_mps = reference.speed_mps(tick);
+                    assert!((told_mps - speed_mps).abs() < 0.03, "{tick}: {told_mps} {speed_mps}");
                 }
                 ended |= reference.at_end();
                 last_m = along_m;

@@ -33,19 +33,19 @@ impl ZoneTracker {
         }
     }
 
-    /// Back to the start of the path.
+    /// Returns to the start of the path.
     pub fn reset(&mut self) {
         self.along_m = 0.0;
         self.zone = 0;
     }
 
-    /// On the way, at a place along the path: the next update tells the zone there.
+    /// Goes on from a place along the path: the next update gives the zone there.
     pub fn resume(&mut self, along_m: f64) {
         self.along_m = along_m;
         self.zone = 0;
     }
 
-    /// The zone with the pose that was measured now, and the reference's progress.
+    /// The zone, given the pose that is measured now and the reference's progress.
     pub fn update(&mut self, measured: Pose, reference_along_m: f64) -> usize {
         if self.from_m.len() == 1 {
             return 0;
@@ -56,7 +56,8 @@ impl ZoneTracker {
             }
             ZoneBy::Reference => reference_along_m,
         };
-        // Forwards at the border itself, backwards only when it lies the hysteresis behind.
+        // The next zone begins at the border itself; the vehicle is back in the previous one only when it is behind the
+        // border by the hysteresis.
         while self.from_m.get(self.zone + 1).is_some_and(|from_m| self.along_m >= *from_m) {
             self.zone += 1;
         }

@@ -1,212 +1,203 @@
-//! Every gain set of the grid: the best of them, how flat the optimum is, and which gain matters.
+//! Every set of the grid: the best of them, how flat the optimum is, and which parameter matters.
 
 use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
 
-use config::{Gains, RunConfig, SweepPlan};
-use ipc_types::DriveReport;
-use serde::{Deserialize, Serialize};
+use anyhow::{Context, Result};
+use config::{ConfigError, Parameters, RunConfig, SweepPlan};
+use outcome::{Flatness, GridResult, MainEffect, Measures, NamedSet, RankedSet, ValueMean};
 
-use crate::digest::digest_of_reports;
-use crate::outcome::on_bound;
+use crate::Ranking;
+use crate::digest::digest_of_drives;
+use crate::result::on_bound;
 use crate::statistics::mean;
 use crate::sweep::PlannedDrive;
+use crate::wire::Driven;
 
-/// What a sweep of the grid drives, and what its reports come to.
+/// Name of the file with a row for each set.
+pub const GRID_FILE: &str = "grid.csv";
+
+/// What a sweep of the grid drives, and how its reports become a result.
 #[derive(Debug, Clone)]
 pub struct GridSweep {
     config: RunConfig,
-    /// Sets to be ranked among those of the grid, each with its name.
-    named: Vec<(&'static str, Gains)>,
+    /// Sets to rank among those of the grid, each with its name.
+    named: Vec<(&'static str, Parameters)>,
 }
 
-/// What a sweep of the grid has come to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct GridSweepOutcome {
-    /// Over the reports of all drives.
-    pub digest: String,
-    pub size: usize,
-    pub best_by_distance: Vec<RankedSet>,
-    pub best_by_mse: Vec<RankedSet>,
-    /// The paper's set, and those that were named.
-    pub sets: Vec<NamedSet>,
-    pub flatness: Vec<Flatness>,
-    pub main_effects: BTreeMap<String, MainEffect>,
-    /// Distance and mse of every set, in the order of the grid, the last gain running fastest.
-    pub distances: Vec<f64>,
-    pub mses_m2: Vec<f64>,
-}
-
-/// A gain set among all of the grid.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct RankedSet {
-    pub gains: Gains,
-    pub distance: f64,
-    pub mse_m2: f64,
-    /// 1 + the number of sets of the grid that are strictly better.
-    pub rank_distance: usize,
-    pub rank_mse: usize,
-    pub on_bound: Vec<String>,
-}
-
-/// A set that was asked for by name.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct NamedSet {
-    pub name: String,
-    #[serde(flatten)]
-    pub set: RankedSet,
-}
-
-/// How many sets lie near the best one.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct Flatness {
-    /// Above the best by at most this share of it.
-    pub within: f64,
-    pub sets_by_distance: usize,
-    pub sets_by_mse: usize,
-}
-
-/// What one gain alone explains.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct MainEffect {
-    /// Share of the variance over the grid that the means of the gain's values explain (η²).
-    pub share_distance: f64,
-    pub share_mse: f64,
-    pub values: Vec<ValueMean>,
-}
-
-/// Means over all sets in which a gain has one value.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct ValueMean {
-    pub value: f64,
-    pub mean_distance: f64,
-    pub mean_mse_m2: f64,
-}
-
-/// Sets of each list of the best.
+/// Length of each list of the best sets.
 const BEST: usize = 10;
+
+/// One measure of a drive.
+type Measure = fn(&Measures) -> f64;
+const VALUE: Measure = |it| it.value;
+const DISTANCE: Measure = |it| it.distance;
+const MSE: Measure = |it| it.mse_m2;
+const PATH: Measure = |it| it.path_mean_m;
 
 impl GridSweep {
     /// The grid of a configuration, the paper's set, and the sets of a plan.
-    pub fn new(config: &RunConfig, plan: &SweepPlan) -> Self {
-        let paper = config.paper_gains().map(|gains| ("paper", gains));
-        let yours = plan.sets.iter().map(|set| ("yours", set[0]));
-        Self { config: config.clone(), named: paper.into_iter().chain(yours).collect() }
+    ///
+    /// # Errors
+    /// If the plan's sets are not of the configuration's law.
+    pub fn new(config: &RunConfig, plan: &SweepPlan) -> Result<Self, ConfigError> {
+        let paper = config.paper_set().map(|set| ("paper", set));
+        let sets = plan.parameters(&config.law)?;
+        let yours = sets.iter().map(|sets| ("yours", sets[0]));
+        Ok(Self { config: config.clone(), named: paper.into_iter().chain(yours).collect() })
     }
 
     /// The drives: every set of the grid in its order, then the named ones.
     pub fn drives(&self) -> Vec<PlannedDrive> {
-        let grid = self.config.grid;
-        let of_grid = grid.positions().map(|position| grid.gains(position));
-        let named = self.named.iter().map(|(_, gains)| *gains);
+        let grid = self.config.grid();
+        let of_grid = grid.positions().map(|position| grid.set(position));
+        let named = self.named.iter().map(|(_, set)| *set);
         of_grid
             .chain(named)
-            .map(|gains| PlannedDrive { by_zone: vec![gains], seed: None, record: None })
+            .map(|set| PlannedDrive { by_zone: vec![set], seed: None, record: None })
             .collect()
     }
 
-    /// What the reports of [`GridSweep::drives`] come to.
-    pub fn outcome(&self, reports: &[DriveReport]) -> GridSweepOutcome {
-        let grid = self.config.grid;
-        let weight = self.config.learning.heading_weight;
-        let distance = |report: &DriveReport| {
-            let (cross_m, heading_rad) = (report.mean_abs_cross_m, report.mean_abs_heading_rad);
-            tracking::state_distance(cross_m, heading_rad, weight)
-        };
-        let mse = |report: &DriveReport| report.along_mse_m2 + report.cross_mse_m2;
-        let (of_grid, of_named) = reports.split_at(grid.len());
-        let distances: Vec<f64> = of_grid.iter().map(distance).collect();
-        let mses_m2: Vec<f64> = of_grid.iter().map(mse).collect();
-        let rank = |all: &[f64], value: f64| 1 + all.iter().filter(|it| **it < value).count();
-        let ranked = |gains: Gains, distance: f64, mse_m2: f64| RankedSet {
-            gains,
-            distance,
-            mse_m2,
-            rank_distance: rank(&distances, distance),
-            rank_mse: rank(&mses_m2, mse_m2),
-            on_bound: on_bound(&self.config, gains),
-        };
-        // Ties go to the other measure, then to the lower number.
-        let best = |first: &[f64], second: &[f64]| -> Vec<RankedSet> {
-            let mut order: Vec<usize> = (0..grid.len()).collect();
-            order.sort_by(|&a, &b| {
-                first[a].total_cmp(&first[b]).then(second[a].total_cmp(&second[b])).then(a.cmp(&b))
-            });
-            let sets = order.into_iter().take(BEST);
-            sets.map(|it| ranked(grid.gains(grid.position(it)), distances[it], mses_m2[it]))
-                .collect()
-        };
-        let within = |all: &[f64], share: f64| {
-            let least = all.iter().copied().fold(f64::INFINITY, f64::min);
-            all.iter().filter(|value| **value <= (1.0 + share) * least).count()
-        };
-        GridSweepOutcome {
-            digest: digest_of_reports(reports),
-            size: grid.len(),
-            best_by_distance: best(&distances, &mses_m2),
-            best_by_mse: best(&mses_m2, &distances),
+    /// The result of the reports of [`GridSweep::drives`]; writes `grid.csv` into the run's folder.
+    ///
+    /// # Errors
+    /// If that file cannot be written.
+    pub fn finish(&self, folder: &Path, driven: &[Driven]) -> Result<GridResult> {
+        let (of_grid, of_named) = driven.split_at(self.config.grid().len());
+        let records = of_grid.iter().map(|driven| driven.record).collect();
+        let ranking = Ranking::of_drives(&self.config, records);
+        let path = folder.join(GRID_FILE);
+        self.write(&path, &ranking).with_context(|| format!("failed to write {path:?}"))?;
+        let measures = ranking.measures();
+        let law = &self.config.law;
+        Ok(GridResult {
+            digest: digest_of_drives(driven, law.count()),
+            size: ranking.len(),
+            best: self.best(&ranking, [VALUE, MSE]),
+            best_by_distance: self.best(&ranking, [DISTANCE, MSE]),
+            best_by_mse: self.best(&ranking, [MSE, DISTANCE]),
+            best_by_path: self.best(&ranking, [PATH, MSE]),
             sets: self
                 .named
                 .iter()
                 .zip(of_named)
-                .map(|((name, gains), report)| NamedSet {
+                .map(|((name, set), driven)| NamedSet {
                     name: (*name).to_owned(),
-                    set: ranked(*gains, distance(report), mse(report)),
+                    set: self.ranked(&ranking, set, driven),
                 })
                 .collect(),
             flatness: [0.01, 0.02, 0.05, 0.1, 0.2]
                 .map(|share| Flatness {
                     within: share,
-                    sets_by_distance: within(&distances, share),
-                    sets_by_mse: within(&mses_m2, share),
+                    sets_by_value: within(measures, VALUE, share),
+                    sets_by_distance: within(measures, DISTANCE, share),
+                    sets_by_mse: within(measures, MSE, share),
+                    sets_by_path: within(measures, PATH, share),
                 })
                 .to_vec(),
-            main_effects: (0..4)
-                .map(|axis| {
-                    let effect = main_effect(&self.config, axis, &distances, &mses_m2);
-                    (Gains::NAMES[axis].to_owned(), effect)
-                })
-                .collect(),
-            distances,
-            mses_m2,
+            main_effects: main_effects(&self.config, measures),
+        })
+    }
+
+    /// The best sets by the first measure; ties go to the second, then to the lower number.
+    fn best(&self, ranking: &Ranking, by: [Measure; 2]) -> Vec<RankedSet> {
+        let (grid, measures) = (ranking.grid(), ranking.measures());
+        let mut order: Vec<usize> = (0..measures.len()).collect();
+        order.sort_by(|&a, &b| {
+            let compared = by.map(|by| by(&measures[a]).total_cmp(&by(&measures[b])));
+            compared[0].then(compared[1]).then(a.cmp(&b))
+        });
+        let best = order.into_iter().take(BEST).map(|index| grid.set(grid.position(index)));
+        best.map(|set| {
+            let record = ranking.drive(&set);
+            self.ranked(ranking, &set, &Driven { record, report: Default::default() })
+        })
+        .collect()
+    }
+
+    fn ranked(&self, ranking: &Ranking, set: &Parameters, driven: &Driven) -> RankedSet {
+        let drive = &driven.record;
+        RankedSet {
+            gains: self.config.law.named(set),
+            measures: ranking.measures_of(drive),
+            rank_value: ranking.rank_by(VALUE, drive),
+            rank_distance: ranking.rank_by(DISTANCE, drive),
+            rank_mse: ranking.rank_by(MSE, drive),
+            rank_path: ranking.rank_by(PATH, drive),
+            on_bound: on_bound(&self.config, set),
         }
+    }
+
+    /// A row for each set: its parameters, its measures by every objective, whether its drive arrived.
+    fn write(&self, path: &Path, ranking: &Ranking) -> Result<()> {
+        let part = path.with_extension("part");
+        let mut writer = csv::Writer::from_path(&part)?;
+        let measures = ["value", "distance", "mse_m2", "path_mean_m", "path_p95_m", "path_max_m"];
+        writer.write_record(self.config.law.keys().chain(measures).chain(["arrived"]))?;
+        let grid = ranking.grid();
+        for (position, it) in grid.positions().zip(ranking.measures()) {
+            let set = grid.set(position);
+            let measures =
+                [it.value, it.distance, it.mse_m2, it.path_mean_m, it.path_p95_m, it.path_max_m];
+            let numbers = self.config.law.values(&set).iter().chain(&measures);
+            let row = numbers.map(f64::to_string).chain([it.arrived.to_string()]);
+            writer.write_record(row)?;
+        }
+        writer.flush()?;
+        drop(writer);
+        Ok(fs::rename(part, path)?)
     }
 }
 
-fn main_effect(config: &RunConfig, axis: usize, distances: &[f64], mses_m2: &[f64]) -> MainEffect {
-    let grid = config.grid;
+/// Number of sets that exceed the best value by at most this share of it.
+fn within(measures: &[Measures], by: Measure, share: f64) -> usize {
+    let least = measures.iter().map(by).fold(f64::INFINITY, f64::min);
+    measures.iter().filter(|it| by(it) <= (1.0 + share) * least).count()
+}
+
+fn main_effects(config: &RunConfig, measures: &[Measures]) -> BTreeMap<String, MainEffect> {
+    config
+        .law
+        .keys()
+        .enumerate()
+        .map(|(axis, key)| (key.to_owned(), main_effect(config, axis, measures)))
+        .collect()
+}
+
+fn main_effect(config: &RunConfig, axis: usize, measures: &[Measures]) -> MainEffect {
+    let grid = config.grid();
     let values = grid.axes()[axis];
-    let of_value = |all: &[f64], place: usize| -> f64 {
+    let of_value = |by: Measure, place: usize| -> f64 {
         let sets = (0..grid.len()).filter(|set| grid.position(*set).0[axis] as usize == place);
-        mean(&sets.map(|set| all[set]).collect::<Vec<_>>())
+        mean(&sets.map(|set| by(&measures[set])).collect::<Vec<_>>())
     };
-    let means = |all: &[f64]| (0..values.len()).map(|place| of_value(all, place)).collect();
-    let share = |all: &[f64], means: &[f64]| {
-        let whole = mean(all);
+    let means =
+        |by: Measure| -> Vec<f64> { (0..values.len()).map(|place| of_value(by, place)).collect() };
+    let share = |by: Measure, means: &[f64]| {
+        let all: Vec<f64> = measures.iter().map(by).collect();
+        let whole = mean(&all);
         let spread = |values: &[f64]| {
             mean(&values.iter().map(|it| (it - whole) * (it - whole)).collect::<Vec<_>>())
         };
-        let total = spread(all);
-        // Each value of a gain stands in equally many sets.
+        let total = spread(&all);
+        // Each value of a parameter occurs in the same number of sets.
         if total > 0.0 { spread(means) / total } else { 0.0 }
     };
-    let (mean_distances, mean_mses): (Vec<f64>, Vec<f64>) = (means(distances), means(mses_m2));
+    let (of_value, of_distance, of_mse, of_path) =
+        (means(VALUE), means(DISTANCE), means(MSE), means(PATH));
     MainEffect {
-        share_distance: share(distances, &mean_distances),
-        share_mse: share(mses_m2, &mean_mses),
-        values: mean_distances
-            .iter()
-            .zip(&mean_mses)
-            .enumerate()
-            .map(|(place, (mean_distance, mean_mse_m2))| ValueMean {
+        share_value: share(VALUE, &of_value),
+        share_distance: share(DISTANCE, &of_distance),
+        share_mse: share(MSE, &of_mse),
+        share_path: share(PATH, &of_path),
+        values: (0..values.len())
+            .map(|place| ValueMean {
                 value: values.value(place),
-                mean_distance: *mean_distance,
-                mean_mse_m2: *mean_mse_m2,
+                mean_value: of_value[place],
+                mean_distance: of_distance[place],
+                mean_mse_m2: of_mse[place],
+                mean_path_m: of_path[place],
             })
             .collect(),
     }

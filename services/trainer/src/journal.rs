@@ -9,11 +9,10 @@ use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use config::GridPosition;
 use serde::{Deserialize, Serialize};
+use tracking::DriveRecord;
 
-use crate::training::Step;
-use crate::{DriveRecord, Training};
+use crate::training::{Taken, Training};
 
 /// A journal that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -22,13 +21,17 @@ pub enum JournalError {
     #[error("failed to use the journal {path}: {source}")]
     Io { path: PathBuf, source: io::Error },
     #[error(
-        "the journal {path} is damaged at byte {offset}: {problem}; take it from a backup, or train anew"
+        "the journal {path} is damaged at byte {offset}: {problem}; restore it from a backup, or start the training again"
     )]
     Damaged { path: PathBuf, offset: usize, problem: String },
     #[error(
         "the journal {path} belongs to another configuration; resume with the one it was made with"
     )]
     Foreign { path: PathBuf },
+    #[error(
+        "the journal {path} was made by an earlier version of pathtune; resume with that version, or start the training again"
+    )]
+    Earlier { path: PathBuf },
     #[error("the journal {path} is in use by another training")]
     InUse { path: PathBuf },
 }
@@ -40,17 +43,25 @@ struct Opening {
     configuration: String,
 }
 
-const VERSION: u32 = 1;
-/// How long a journal is waited for that somebody else still holds.
+const VERSION: u32 = 2;
+/// How long to wait for a journal that another process still holds.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 
+/// A step. A step that was answered from memory holds no drive, because an earlier record holds it.
 #[derive(Debug, Serialize, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 struct Record {
     learner: u32,
     step: u32,
-    set: GridPosition,
-    remembered: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    driven: Option<DrivenStep>,
+}
+
+#[derive(Debug, Serialize, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+struct DrivenStep {
+    /// The law's parameters, in its order.
+    parameters: Vec<f64>,
     drive: DriveRecord,
 }
 
@@ -59,13 +70,15 @@ struct Record {
 pub struct Journal {
     path: PathBuf,
     file: File,
+    /// Number of the law's parameters.
+    parameters: usize,
     unwritten: Vec<u8>,
     syncing: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Journal {
-    /// Opens or starts the journal of a training, and replays into `training` what it holds.
-    /// `configuration` is a hash of everything that decides the training.
+    /// Opens or starts the journal of a training, and replays what it holds into `training`; passes each step to
+    /// `each`. `configuration` is a hash of everything that determines the training.
     ///
     /// # Errors
     /// If the file cannot be used, is damaged before its last line, or belongs to another configuration.
@@ -73,6 +86,7 @@ impl Journal {
         path: &Path,
         configuration: &str,
         training: &mut Training,
+        each: impl FnMut(&Taken),
     ) -> Result<Self, JournalError> {
         let io = |source| JournalError::Io { path: path.to_owned(), source };
         let mut file = OpenOptions::new()
@@ -92,25 +106,33 @@ impl Journal {
         }
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).map_err(io)?;
-        let whole = replay(path, &bytes, configuration, training)?;
+        let whole = replay(path, &bytes, configuration, training, each)?;
         if whole < bytes.len() {
             tracing::warn!(bytes = bytes.len() - whole, "cut a torn record off the journal");
             file.set_len(whole as u64).map_err(io)?;
         }
         file.seek(SeekFrom::Start(whole as u64)).map_err(io)?;
-        let mut journal =
-            Self { path: path.to_owned(), file, unwritten: Vec::new(), syncing: None };
+        let mut journal = Self {
+            path: path.to_owned(),
+            file,
+            parameters: training.law().count(),
+            unwritten: Vec::new(),
+            syncing: None,
+        };
         if whole == 0 {
             journal.add(&Opening { journal: VERSION, configuration: configuration.to_owned() });
         }
         Ok(journal)
     }
 
-    /// Notes a step; [`Journal::write`] brings it to the file.
-    pub fn note(&mut self, step: &Step) {
-        let Step { wanted, drive, remembered } = *step;
-        let (learner, step, set) = (wanted.learner, wanted.step, wanted.position);
-        self.add(&Record { learner, step, set, remembered, drive });
+    /// Notes a step; [`Journal::write`] writes it to the file.
+    pub fn note(&mut self, taken: &Taken) {
+        let Taken { ask, drive, remembered, .. } = taken;
+        let driven = (!remembered).then(|| DrivenStep {
+            parameters: ask.parameters.0[..self.parameters].to_vec(),
+            drive: *drive,
+        });
+        self.add(&Record { learner: ask.learner, step: ask.step, driven });
     }
 
     fn add(&mut self, record: &impl Serialize) {
@@ -121,21 +143,21 @@ impl Journal {
         self.unwritten.push(b'\n');
     }
 
-    /// Writes what was noted: a crash of the process loses none of it any more.
+    /// Writes what was noted: after this, a crash of the process loses none of it.
     ///
     /// # Errors
-    /// If the disk does not take it.
+    /// If it cannot be written to the disk.
     pub fn write(&mut self) -> Result<(), JournalError> {
         let result = self.file.write_all(&self.unwritten);
         self.unwritten.clear();
         result.map_err(|source| JournalError::Io { path: self.path.clone(), source })
     }
 
-    /// Brings what was written onto the disk, in a thread of its own (a disk may take its time): a power cut
-    /// loses none of it any more. One sync at a time; a failure of the last one is told by the next.
+    /// Syncs what was written to the disk, in a separate thread, because a disk may be slow: after that, a power cut
+    /// loses none of it. There is one sync at a time; the next call reports a failure of the last one.
     ///
     /// # Errors
-    /// If the disk did not take it.
+    /// If it could not be written to the disk.
     pub fn sync(&mut self) -> Result<(), JournalError> {
         if self.syncing.as_ref().is_some_and(|thread| !thread.is_finished()) {
             return Ok(());
@@ -149,7 +171,7 @@ impl Journal {
         Ok(())
     }
 
-    /// The journal's file, to be synced by somebody who can wait for it.
+    /// The journal's file, for a caller that can wait for a sync.
     ///
     /// # Errors
     /// If the system has no descriptor left.
@@ -164,6 +186,7 @@ fn replay(
     bytes: &[u8],
     configuration: &str,
     training: &mut Training,
+    mut each: impl FnMut(&Taken),
 ) -> Result<usize, JournalError> {
     let mut offset = 0;
     while offset < bytes.len() {
@@ -175,27 +198,40 @@ fn replay(
         // Lines are written whole, so only the last one can be torn: it lacks its end.
         let Some(length) = rest.iter().position(|byte| *byte == b'\n') else { return Ok(offset) };
         let line = &rest[..length];
-        let json = checked(line).ok_or_else(|| damaged("its checksum does not fit"))?;
+        let json = checked(line).ok_or_else(|| damaged("its checksum does not match"))?;
         if offset == 0 {
             let opening: Opening = serde_json::from_slice(json)
-                .map_err(|_| damaged("it does not begin as a journal does"))?;
+                .map_err(|_| damaged("it does not begin like a journal"))?;
+            if opening.journal < VERSION {
+                return Err(JournalError::Earlier { path: path.to_owned() });
+            }
             if opening != (Opening { journal: VERSION, configuration: configuration.to_owned() }) {
                 return Err(JournalError::Foreign { path: path.to_owned() });
             }
         } else {
             let record: Record = serde_json::from_slice(json)
                 .map_err(|error| damaged(&format!("not a record: {error}")))?;
-            if !record.drive.is_plausible() {
-                return Err(damaged("a drive with impossible numbers"));
-            }
-            let step = training.take(record.learner, record.step, record.drive);
-            if step.is_none_or(|step| step.wanted.position != record.set) {
-                return Err(damaged("a step that the training does not make"));
-            }
+            let taken = take(training, &record).map_err(damaged)?;
+            each(&taken);
         }
         offset += length + 1;
     }
     Ok(offset)
+}
+
+/// Replays a step.
+fn take(training: &mut Training, record: &Record) -> Result<Taken, &'static str> {
+    let Record { learner, step, driven } = record;
+    let taken = match driven {
+        None => training.take_remembered(*learner, *step),
+        Some(DrivenStep { drive, .. }) if !drive.is_plausible() => {
+            return Err("a drive with impossible numbers");
+        }
+        Some(DrivenStep { parameters, drive }) => training
+            .take(*learner, *step, *drive)
+            .filter(|taken| taken.ask.parameters.0[..training.law().count()] == parameters[..]),
+    };
+    taken.ok_or("a step that the training does not make")
 }
 
 fn checked(line: &[u8]) -> Option<&[u8]> {
@@ -208,8 +244,7 @@ fn checked(line: &[u8]) -> Option<&[u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Ranking;
-    use crate::digest::digest;
+    use crate::{Ranking, digest};
     use config::{Layers, RunConfig};
     use proptest::prelude::*;
     use std::fs;
@@ -223,18 +258,18 @@ mod tests {
         layers.resolve().unwrap()
     }
 
-    /// Trains on from wherever the journal stands; returns the digest.
+    /// Continues the training from where the journal ends; returns the digest.
     fn train(path: &Path, config: &RunConfig, most_drives: usize) -> Result<String, JournalError> {
-        // Driven once for all tests: a training is then a matter of microseconds.
+        // Driven once for all tests: then a training takes only microseconds.
         static RANKING: LazyLock<Ranking> = LazyLock::new(|| Ranking::by_rollout(&self::config()));
-        let mut training = Training::new(config);
-        let mut journal = Journal::open(path, "c", &mut training)?;
+        let mut training = Training::new(config, *RANKING.objective());
+        let mut journal = Journal::open(path, "c", &mut training, |_| {})?;
         for _ in 0..most_drives {
-            training.remember(usize::MAX, |step| journal.note(step));
-            let Some(wanted) = training.wanted().first().copied() else { break };
-            let drive = *RANKING.drive(wanted.position);
-            let step = training.take(wanted.learner, wanted.step, drive).unwrap();
-            journal.note(&step);
+            training.remember(usize::MAX, |taken| journal.note(taken));
+            let Some(ask) = training.wanted().first().copied() else { break };
+            let drive = RANKING.drive(&ask.parameters);
+            let taken = training.take(ask.learner, ask.step, drive).unwrap();
+            journal.note(&taken);
             journal.write()?;
         }
         Ok(digest(&training))
@@ -284,17 +319,26 @@ mod tests {
             damaged[at] ^= 1;
             fs::write(&path, &damaged).unwrap();
             let error = train(&path, &config(), 0).unwrap_err().to_string();
-            assert!(error.contains("byte") || error.contains("another configuration"), "{error}");
+            let names = ["byte", "another configuration", "an earlier version"];
+            assert!(names.iter().any(|name| error.contains(name)), "{error}");
         }
     }
 
     #[test]
-    fn a_journal_of_another_configuration_is_refused() {
+    fn a_journal_of_another_configuration_or_version_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
         train(&path, &config(), 3).unwrap();
-        let mut training = Training::new(&config());
-        let error = Journal::open(&path, "d", &mut training).unwrap_err();
-        assert!(matches!(error, JournalError::Foreign { .. }));
+        let open = |path: &Path| {
+            let config = config();
+            let mut training = Training::new(&config, crate::objective_of(&config));
+            Journal::open(path, "d", &mut training, |_| {}).unwrap_err()
+        };
+        assert!(matches!(open(&path), JournalError::Foreign { .. }));
+        // The first line of a journal as earlier versions wrote it.
+        let earlier = r#"{"journal":1,"configuration":"d"}"#;
+        fs::write(&path, format!("{:08x} {earlier}\n", crc32fast::hash(earlier.as_bytes())))
+            .unwrap();
+        assert!(matches!(open(&path), JournalError::Earlier { .. }));
     }
 }

@@ -1,39 +1,53 @@
-//! The trainer: learners that propose gains, the journal that remembers every step, and the process around.
+//! The trainer: tuners that propose parameters, the journal that records every step, and the process around them.
 //!
-//! [`Learner`], [`Training`] and [`Ranking`] are pure; [`journal`] reads and writes one file; [`service`]
-//! joins them to the pipeline. Everything that a training becomes is decided by the configuration and the
+//! [`tuners`], [`Training`] and [`Ranking`] are pure; [`journal`] reads and writes one file; [`service`]
+//! joins them to the pipeline. The result of a training is determined by the configuration and the
 //! reports of its drives, never by their order.
 
+// Tests may read and write files, start threads, and know the time.
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+
 mod digest;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod grid;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod journal;
-mod learner;
-mod outcome;
+mod q_learner;
+mod q_learning;
 mod ranking;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod recording;
+mod result;
 mod rng;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod robust;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod schedule;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
 mod single;
 mod statistics;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
+mod story;
 mod sweep;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod sweeping;
 mod training;
+pub mod tuners;
 mod validation;
+mod wire;
 
 pub use digest::digest;
-pub use grid::{Flatness, GridSweep, GridSweepOutcome, MainEffect, NamedSet, RankedSet, ValueMean};
-pub use learner::{DriveRecord, EpisodeRecord, Learner};
-pub use outcome::{
-    EpisodeOutcome, GridOutcome, LearnerOutcome, Outcome, PlainOutcome, SetOutcome, Usage,
-};
-pub use ranking::Ranking;
+pub use grid::{GRID_FILE, GridSweep};
+pub use ranking::{Ranking, grid_is_driven, objective_of};
 pub use recording::Row;
-pub use robust::{Comparison, FinalistOutcome, Finalists, NoiseOutcome, rank_mean_distance};
-pub use single::{SingleDrive, SingleOutcome};
-pub use statistics::{Estimate, Verdict};
+pub use result::train_result;
+pub use robust::{Finalists, rank_mean};
+pub use single::SingleDrive;
+pub use statistics::Estimate;
+pub use story::{DRIVES_FILE, EPISODES_FILE};
 pub use sweep::{PlannedDrive, Sweep};
-pub(crate) use training::vote_by;
-pub use training::{Step, Training, Wanted, train_by_rollout, train_offline, vote};
-pub use validation::{NoiseFree, Noisy, RowOutcome, Switch, Validation, ValidationOutcome};
+pub use training::{Taken, Training, VisitedSet, by_values, train_by_rollout, train_offline};
+pub use tuners::Tuner;
+pub use validation::Validation;
+pub use wire::Driven;

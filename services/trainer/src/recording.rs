@@ -1,8 +1,9 @@
-//! Records drives tick by tick, without a gap: what the figures are drawn from.
+//! Records drives tick by tick, without a gap; the figures are drawn from these recordings.
 
 use std::collections::VecDeque;
 use std::fs;
 use std::path::Path;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use ipc_types::{
@@ -36,6 +37,7 @@ pub struct Row {
     pub along_track_m: f64,
     pub cross_track_m: f64,
     pub heading_rad: f64,
+    pub path_distance_m: f64,
     pub command_speed_mps: f64,
     pub command_yaw_rate_radps: f64,
     pub command_steering_rad: f64,
@@ -43,25 +45,38 @@ pub struct Row {
     pub zone: u32,
 }
 
-/// Messages of a topic that one look takes at most: the vehicle waits for the recorder, not for all of them.
+/// The largest number of messages of a topic that one look takes: the vehicle should not wait until all of them are
+/// taken.
 const AT_ONCE: usize = 64;
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
+
+/// A recording that is not complete this long after its report will never be: a vehicle that does not wait for
+/// the recorder was too fast for it.
+pub(crate) const RECORDING_PATIENCE: Duration = Duration::from_millis(500);
 
 /// Records the drives of a batch that ask for it.
 pub(crate) struct Recorder {
     run: u64,
     tick_s: f64,
     requests: Inlet<DriveRequest>,
-    odometry: Side<Odometry>,
-    errors: Side<TrackingError>,
-    commands: Side<Command>,
+    odometry: JoinedTopic<Odometry>,
+    errors: JoinedTopic<TrackingError>,
+    commands: JoinedTopic<Command>,
     credits: Outlet<Credit>,
     batch: BatchHeader,
+    next: Option<NextBatch>,
     /// The slots that are recorded, each with its learner, its step and what was recorded.
     slots: Vec<Recorded>,
     ticks: u64,
     credited: u64,
+}
+
+/// A batch whose request came while a recording of the batch before was not whole yet.
+struct NextBatch {
+    header: BatchHeader,
+    requests: Vec<DriveRequest>,
+    since_ns: u64,
 }
 
 struct Recorded {
@@ -69,10 +84,12 @@ struct Recorded {
     learner: u32,
     step: u32,
     rows: Vec<Row>,
+    /// Whether somebody has the recording already.
+    is_taken: bool,
 }
 
-/// One of the topics that are joined: what was taken of it and not yet joined with the others.
-struct Side<M: Message> {
+/// One of the topics that are joined: what was taken from it but not yet joined with the others.
+struct JoinedTopic<M: Message> {
     inlet: Inlet<M>,
     /// A message of a batch whose request has not come yet: the two travel on different topics.
     early: Option<Received<M>>,
@@ -81,7 +98,7 @@ struct Side<M: Message> {
     next_tick: u64,
 }
 
-impl<M: Message<Header = TickHeader>> Side<M> {
+impl<M: Message<Header = TickHeader>> JoinedTopic<M> {
     fn new(bus: &Bus) -> Result<Self> {
         Ok(Self { inlet: bus.observe()?, early: None, taken: VecDeque::new(), next_tick: 0 })
     }
@@ -91,7 +108,7 @@ impl<M: Message<Header = TickHeader>> Side<M> {
         self.next_tick = 0;
     }
 
-    /// Takes what has come; whether there was anything.
+    /// Takes what has come; returns whether there was anything.
     fn take(&mut self, batch: BatchHeader, slots: &[Recorded]) -> Result<bool> {
         for taken in 0..AT_ONCE {
             let message = match self.early.take() {
@@ -107,7 +124,7 @@ impl<M: Message<Header = TickHeader>> Side<M> {
                 return Ok(taken > 0);
             }
             let fits = (header.attempt, header.tick) == (batch.attempt, self.next_tick);
-            // Behind a gap nothing fits any more: the drive remains unfinished, and is driven again.
+            // After a gap nothing fits together any more: the drive remains unfinished, and is driven again.
             if !fits || slots.iter().any(|slot| slot.slot >= message.items().len()) {
                 continue;
             }
@@ -124,21 +141,26 @@ impl Recorder {
             run,
             tick_s,
             requests: bus.inlet()?,
-            odometry: Side::new(bus)?,
-            errors: Side::new(bus)?,
-            commands: Side::new(bus)?,
+            odometry: JoinedTopic::new(bus)?,
+            errors: JoinedTopic::new(bus)?,
+            commands: JoinedTopic::new(bus)?,
             credits: bus.outlet()?,
             batch: BatchHeader::default(),
+            next: None,
             slots: Vec::new(),
             ticks: 0,
             credited: 0,
         })
     }
 
-    /// Takes over what has come; whether there was anything.
+    /// Takes over what has come; returns whether there was anything.
     pub(crate) fn poll(&mut self) -> Result<bool> {
         if let Some(request) = self.requests.receive_newest()? {
-            self.start_batch(request.header(), request.items());
+            let (header, requests) = (request.header(), request.items().to_vec());
+            self.next = Some(NextBatch { header, requests, since_ns: now_ns() });
+        }
+        if let Some(next) = self.next.take_if(|next| !is_held_up(next, &self.batch, &self.slots)) {
+            self.start_batch(next.header, &next.requests);
         }
         if self.slots.is_empty() {
             return Ok(false);
@@ -147,7 +169,7 @@ impl Recorder {
         let mut any = self.odometry.take(*batch, slots)?;
         any |= self.errors.take(*batch, slots)?;
         any |= self.commands.take(*batch, slots)?;
-        self.join_sides();
+        self.join_topics();
         if self.ticks >= self.credited + CREDIT_EVERY {
             self.credited = self.ticks;
             let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
@@ -178,11 +200,12 @@ impl Recorder {
                     learner: request.learner,
                     step: request.step,
                     rows: Vec::with_capacity(request.ticks as usize),
+                    is_taken: false,
                 }),
         );
     }
 
-    fn join_sides(&mut self) {
+    fn join_topics(&mut self) {
         let (odometry, errors, commands) =
             (&mut self.odometry.taken, &mut self.errors.taken, &mut self.commands.taken);
         let count = self.slots.len();
@@ -196,17 +219,27 @@ impl Recorder {
         }
     }
 
-    /// The recording of a drive that lasted so many ticks, once it is whole.
+    /// The recording of a drive that lasted `ticks`, once it is complete.
     pub(crate) fn take_whole(&mut self, learner: u32, step: u32, ticks: u64) -> Option<Vec<Row>> {
         let slot = self.slots.iter_mut().find(|it| (it.learner, it.step) == (learner, step))?;
         if (slot.rows.len() as u64) < ticks {
             return None;
         }
-        // The others of the batch may drive on; this one has stood still since.
+        // The other vehicles of the batch may drive on; this one has stood still since.
+        slot.is_taken = true;
         let mut rows = std::mem::take(&mut slot.rows);
         rows.truncate(ticks as usize);
         Some(rows)
     }
+}
+
+/// Whether a batch must wait because the last messages of the one before are still on their way: a command travels one
+/// hop further than the report. A batch that is driven again waits for nothing, and no batch waits for long: a recording
+/// with a gap never becomes whole.
+fn is_held_up(next: &NextBatch, batch: &BatchHeader, slots: &[Recorded]) -> bool {
+    next.header.attempt.batch != batch.attempt.batch
+        && slots.iter().any(|slot| !slot.is_taken)
+        && now_ns() - next.since_ns < RECORDING_PATIENCE.as_nanos() as u64
 }
 
 fn row(
@@ -221,7 +254,7 @@ fn row(
     let measured = pose(odometry.measured);
     let truth =
         if has(odometry.status, Odometry::HAS_TRUTH) { pose(odometry.truth) } else { measured };
-    // The controller tells the error of the measured pose; the reference is where that points to.
+    // The controller reports the error of the measured pose; the reference is the pose to which that error points.
     let apart =
         measured.rotation() * nalgebra::Vector2::new(error.along_track_m, error.cross_track_m);
     let reference = Pose {
@@ -248,6 +281,7 @@ fn row(
         along_track_m: true_error.along_track_m,
         cross_track_m: true_error.cross_track_m,
         heading_rad: true_error.heading_rad,
+        path_distance_m: error.path_distance_m,
         command_speed_mps: command.speed_mps,
         command_yaw_rate_radps: command.yaw_rate_radps,
         command_steering_rad: command.steering_rad,
@@ -259,7 +293,7 @@ fn row(
 /// Folder of the recorded drives in the run's folder.
 pub(crate) const DRIVES_FOLDER: &str = "drives";
 
-/// Writes a recording: whoever sees the file sees all of it.
+/// Writes a recording, so that nobody reads half of it.
 pub(crate) fn write(run: &Path, name: &str, rows: &[Row]) -> Result<()> {
     let folder = run.join(DRIVES_FOLDER);
     let path = folder.join(format!("{name}.csv"));

@@ -1,107 +1,63 @@
 //! The choice under noise: by means instead of single drives.
 //!
-//! One noisy drive says little of a gain set. So the sets whose drives of the training have the best mean are
-//! driven again, each with the same noise seeds; the best mean of those is chosen, and compared with others
-//! by the differences of drives with the same seed.
+//! One noisy drive says little about a set. So the sets whose drives in the training have the best mean are
+//! driven again, each with the same noise seeds. The set with the best mean of these drives is chosen, and compared
+//! with others by the differences between drives with the same seed.
 
-use config::{Gains, RunConfig};
-use ipc_types::DriveReport;
+use config::{Parameters, RunConfig};
+use outcome::{Comparison, Finalist, NoiseChoice};
 use rollout::Rollout;
-use serde::{Deserialize, Serialize};
+use tracking::{DriveRecord, Objective};
 
-use crate::statistics::{Estimate, Verdict, mean};
+use crate::Training;
+use crate::statistics::{Estimate, mean};
 use crate::sweep::PlannedDrive;
-use crate::{Learner, Training, vote_by};
+use crate::training::by_values;
 
 /// The sets that are driven again, and how each did in the training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finalists {
-    sets: Vec<Finalist>,
+    sets: Vec<Visited>,
+    /// The set that the tuner recommends on the basis of single drives.
+    recommended: Parameters,
+    paper: Option<Parameters>,
     repeats: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Finalist {
-    gains: Gains,
+struct Visited {
+    parameters: Parameters,
     visits: u32,
 }
 
-/// What the drives of the finalists have come to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct NoiseOutcome {
-    pub repeats: u64,
-    pub holdout: u32,
-    /// Best mean first; the first one is chosen.
-    pub finalists: Vec<FinalistOutcome>,
-    /// The chosen set against the set that the learners voted for, and against the paper's.
-    pub against_voted: Comparison,
-    pub against_paper: Option<Comparison>,
-}
-
-/// One finalist.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct FinalistOutcome {
-    pub gains: Gains,
-    pub mean_distance: f64,
-    pub low: f64,
-    pub high: f64,
-    /// Drives of the training with this set.
-    pub visits: u32,
-}
-
-/// The chosen set against another one, by the distances of drives with the same noise.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct Comparison {
-    pub gains: Gains,
-    pub difference: f64,
-    pub low: f64,
-    pub high: f64,
-    pub verdict: Verdict,
-}
-
 impl Finalists {
-    /// The sets of a finished training with the best mean distance, and behind them the set that the learners
-    /// voted for and the paper's, where they are not among them.
+    /// The sets of a finished training with the best mean of the objective, and after them the set that the tuner
+    /// recommends and the paper's, if they are not among them.
     pub fn new(config: &RunConfig, training: &Training) -> Self {
-        let learners = training.learners();
-        let drives_of = |set: usize| {
-            learners
-                .iter()
-                .map(|learner| learner.drives_of(set))
-                .fold((0, 0.0), |(visits, sum), (more, distances)| (visits + more, sum + distances))
-        };
-        let mut driven: Vec<(f64, usize, u32)> = (0..config.grid.len())
-            .map(|set| (set, drives_of(set)))
-            .filter(|(_, (visits, _))| *visits > 0)
-            .map(|(set, (visits, sum))| (sum / f64::from(visits), set, visits))
-            .collect();
-        driven.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut sets: Vec<Finalist> = driven
+        let visited = training.visited();
+        let mut best: Vec<_> = visited.iter().collect();
+        // Stable: ties go to the lower number in the grid.
+        best.sort_by(|a, b| a.mean_value.total_cmp(&b.mean_value));
+        let mut sets: Vec<Visited> = best
             .iter()
             .take(config.robust.finalists as usize)
-            .map(|(_, set, visits)| Finalist {
-                gains: config.grid.gains(config.grid.position(*set)),
-                visits: *visits,
-            })
+            .map(|it| Visited { parameters: it.parameters, visits: it.visits })
             .collect();
-        let voted = voted(config, learners);
-        for gains in [Some(voted), config.paper_gains()].into_iter().flatten() {
-            if sets.iter().all(|set| set.gains != gains) {
-                let position = config.grid.find(gains);
-                let visits = position.map_or(0, |it| drives_of(config.grid.index(it)).0);
-                sets.push(Finalist { gains, visits });
+        let recommended = training.tuner().recommend(&by_values);
+        let paper = config.paper_set();
+        for parameters in [Some(recommended), paper].into_iter().flatten() {
+            if sets.iter().all(|set| set.parameters != parameters) {
+                let known = visited.iter().find(|it| it.parameters == parameters);
+                sets.push(Visited { parameters, visits: known.map_or(0, |it| it.visits) });
             }
         }
-        Self { sets, repeats: config.robust.repeats.into() }
+        Self { sets, recommended, paper, repeats: config.robust.repeats.into() }
     }
 
-    /// The drives that tell: set by set, each with the noise seeds 1, 2, ….
+    /// The drives that decide: set by set, each with the noise seeds 1, 2, ….
     pub fn drives(&self) -> Vec<PlannedDrive> {
-        let of_set = |set: &Finalist| {
-            let by_zone = vec![set.gains];
+        let of_set = |set: &Visited| {
+            let by_zone = vec![set.parameters];
             (1..=self.repeats).map(move |seed| PlannedDrive {
                 by_zone: by_zone.clone(),
                 seed: Some(seed),
@@ -111,96 +67,85 @@ impl Finalists {
         self.sets.iter().flat_map(of_set).collect()
     }
 
-    /// What the reports of [`Finalists::drives`] come to.
-    pub fn outcome(
+    /// The set that is chosen by the records of [`Finalists::drives`], and how it was chosen.
+    pub fn choose(
         &self,
         config: &RunConfig,
-        training: &Training,
-        reports: &[DriveReport],
-    ) -> NoiseOutcome {
-        let weight = config.learning.heading_weight;
-        let distances: Vec<Vec<f64>> = reports
+        objective: &Objective,
+        records: &[DriveRecord],
+    ) -> (Parameters, NoiseChoice) {
+        let values: Vec<Vec<f64>> = records
             .chunks(self.repeats as usize)
-            .map(|drives| {
-                let distance = |report: &DriveReport| {
-                    let (cross_m, heading_rad) =
-                        (report.mean_abs_cross_m, report.mean_abs_heading_rad);
-                    tracking::state_distance(cross_m, heading_rad, weight)
-                };
-                drives.iter().map(distance).collect()
-            })
+            .map(|drives| drives.iter().map(|drive| objective.of(drive)).collect())
             .collect();
-        // Only what the training has visited may be chosen; the rest is there for comparison.
+        // Only sets that the training has visited may be chosen; the others are there for comparison.
         let mut order: Vec<usize> = (0..self.sets.len()).collect();
-        let cost = |index: usize| (self.sets[index].visits == 0, mean(&distances[index]));
+        let cost = |index: usize| (self.sets[index].visits == 0, mean(&values[index]));
         order.sort_by(|a, b| {
             let (a, b) = (cost(*a), cost(*b));
             a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
         });
         let chosen = order[0];
-        let compare = |gains: Gains| {
-            let other = self.sets.iter().position(|set| set.gains == gains)?;
-            let difference = Estimate::of_difference(&distances[chosen], &distances[other]);
+        let compare = |parameters: Parameters| {
+            let other = self.sets.iter().position(|set| set.parameters == parameters)?;
+            let difference = Estimate::of_difference(&values[chosen], &values[other]);
             Some(Comparison {
-                gains,
+                gains: config.law.named(&parameters),
                 difference: difference.mean,
                 low: difference.low,
                 high: difference.high,
                 verdict: difference.verdict(),
             })
         };
-        NoiseOutcome {
+        let choice = NoiseChoice {
             repeats: self.repeats,
             holdout: config.robust.holdout,
             finalists: order
                 .iter()
                 .map(|&index| {
-                    let Estimate { mean, low, high } = Estimate::of(&distances[index]);
-                    let Finalist { gains, visits } = self.sets[index];
-                    FinalistOutcome { gains, mean_distance: mean, low, high, visits }
+                    let Estimate { mean: mean_value, low, high } = Estimate::of(&values[index]);
+                    let Visited { parameters, visits } = self.sets[index];
+                    let gains = config.law.named(&parameters);
+                    Finalist { gains, mean_value, low, high, visits }
                 })
                 .collect(),
-            against_voted: compare(voted(config, training.learners())).expect("it was driven"),
-            against_paper: config.paper_gains().and_then(compare),
-        }
+            against_recommended: compare(self.recommended).expect("it was driven"),
+            against_paper: self.paper.and_then(compare),
+        };
+        (self.sets[chosen].parameters, choice)
     }
 }
 
-/// The set that most learners picked; ties go to the lower number in the grid.
-fn voted(config: &RunConfig, learners: &[Learner]) -> Gains {
-    let grid = config.grid;
-    grid.gains(vote_by(learners, |a, b| grid.index(a).cmp(&grid.index(b))))
-}
-
-/// The first of the noise seeds that nobody has used: far from those of the finalists (1, 2, …), and not among
+/// The first of the noise seeds that were not used before: far from those of the finalists (1, 2, …), and not among
 /// those of a training, which are scattered over 64 bits.
 const FIRST_HOLDOUT_SEED: u64 = 1_000_001;
 
-/// Rank of a set of the grid by its mean distance over noise seeds that nobody has used: 1 + the number of sets
-/// that are strictly better. Tells its progress, a share, to `progress`.
+/// Rank of a set by the mean of the objective over noise seeds that were not used before: 1 + the number of sets of the
+/// grid that are strictly better. Passes its progress, as a share, to `progress`.
 ///
 /// Drives millions of ticks, on all cores.
-pub fn rank_mean_distance(
+pub fn rank_mean(
     config: &RunConfig,
-    gains: Gains,
+    objective: &Objective,
+    parameters: &Parameters,
     progress: impl Fn(f64) + Sync,
 ) -> usize {
     let seeds: Vec<u64> = (FIRST_HOLDOUT_SEED..).take(config.robust.holdout as usize).collect();
-    let weight = config.learning.heading_weight;
-    // Distances are not negative: once the sum is beyond the limit, it stays there.
-    let sum = |rollout: &mut Rollout, gains: Gains, limit: f64| {
+    // Values are not negative: once the sum is beyond the limit, it stays there.
+    let sum = |rollout: &mut Rollout, parameters: &Parameters, limit: f64| {
         let mut sum = 0.0;
         for seed in &seeds {
-            sum += rollout.drive(gains, Some(*seed)).metrics.distance(weight);
+            sum += objective.of(&rollout.drive(*parameters, Some(*seed)));
             if sum >= limit {
                 break;
             }
         }
         sum
     };
-    let limit = sum(&mut Rollout::new(config), gains, f64::INFINITY);
+    let limit = sum(&mut Rollout::new(config), parameters, f64::INFINITY);
     let next = std::sync::atomic::AtomicUsize::new(0);
-    let count = config.grid.len();
+    let grid = config.grid();
+    let count = grid.len();
     let threads = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let better: usize = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..threads)
@@ -213,8 +158,8 @@ pub fn rank_mean_distance(
                         if set >= count {
                             return better;
                         }
-                        let other = config.grid.gains(config.grid.position(set));
-                        better += usize::from(sum(&mut rollout, other, limit) < limit);
+                        let other = grid.set(grid.position(set));
+                        better += usize::from(sum(&mut rollout, &other, limit) < limit);
                         progress(set as f64 / count as f64);
                     }
                 })

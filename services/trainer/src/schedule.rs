@@ -1,25 +1,27 @@
 //! The gain schedule's process: the trainer's role outside training.
 //!
 //! It asks for the drives of a plan instead of learning, answers each zone with that zone's gains, and writes
-//! what the drives have come to.
+//! the result of the drives.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
-use config::{Gains, RunConfig, SweepKind, SweepPlan};
+use config::{RunConfig, SweepKind, SweepPlan};
 use ipc_types::{
     Attempt, BatchHeader, DriveOutcome, DriveRequest, GainSwitch, LearnerProgress, Proposal,
     WakeRole, Zone,
 };
+use outcome::{Outcome, Switch};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 
 use crate::grid::GridSweep;
+use crate::result::decided;
 use crate::service::write_outcome;
 use crate::single::SingleDrive;
 use crate::sweeping::{Place, Progress, Sweeping};
-use crate::validation::{Switch, Validation};
+use crate::validation::Validation;
 
 /// Runs the process until it is asked to stop.
 ///
@@ -49,13 +51,13 @@ struct Schedule {
     subject: Subject,
     sweeping: Sweeping,
     /// Learner of each slot of the batch that was requested last. A predecessor of this process may have asked
-    /// for it: its zones are answered all the same.
+    /// for the batch; its zones are answered all the same.
     batch: (BatchHeader, Vec<u32>),
     /// Zones of a batch whose request has not come yet: the two travel on different topics.
     early: Vec<(BatchHeader, Zone)>,
     /// The switches of each drive, in its last attempt.
     switches: BTreeMap<usize, Vec<Switch>>,
-    stage: Stage,
+    stage: ScheduleStage,
     counters: Counters,
 }
 
@@ -66,11 +68,11 @@ enum Subject {
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Stage {
-    /// Nothing was asked for yet.
+enum ScheduleStage {
+    /// No drive was asked for yet.
     Fresh,
     Driving,
-    /// The outcome is written, and was announced.
+    /// The outcome has been written and announced.
     Over,
 }
 
@@ -82,9 +84,9 @@ impl Schedule {
         attachment: &Attachment,
     ) -> Result<Self> {
         let subject = match plan.kind {
-            SweepKind::Validate => Subject::Validation(Validation::new(&config, plan)),
-            SweepKind::Grid => Subject::Grid(GridSweep::new(&config, plan)),
-            SweepKind::Drive => Subject::Drive(SingleDrive::new(&config, plan)),
+            SweepKind::Validate => Subject::Validation(Validation::new(&config, plan)?),
+            SweepKind::Grid => Subject::Grid(GridSweep::new(&config, plan)?),
+            SweepKind::Drive => Subject::Drive(SingleDrive::new(&config, plan)?),
         };
         let drives = match &subject {
             Subject::Validation(validation) => validation.drives(),
@@ -97,7 +99,7 @@ impl Schedule {
             max_len: attachment.max_len,
             tick_s: config.drive.tick_s,
             ticks: config.ticks(),
-            // A drive in real time goes on without us, and is not made again.
+            // A drive in real time goes on without this process, and is not made again.
             incarnation: if plan.realtime { 0 } else { attachment.incarnation },
         };
         Ok(Self {
@@ -121,13 +123,13 @@ impl Schedule {
             ),
             early: Vec::new(),
             switches: BTreeMap::new(),
-            stage: Stage::Fresh,
+            stage: ScheduleStage::Fresh,
             counters: Counters::default(),
         })
     }
 
     fn propose(&mut self) -> Result<()> {
-        self.stage = Stage::Driving;
+        self.stage = ScheduleStage::Driving;
         let progress = self.sweeping.progress();
         let header = self.sweeping.header(LearnerProgress::DRIVES);
         self.progress.send(header, 1, |_| progress)?;
@@ -138,7 +140,7 @@ impl Schedule {
         Ok(())
     }
 
-    /// Hears which drives are under way; whether there was anything.
+    /// Learns which drives are under way; returns whether there was anything new.
     fn hear_request(&mut self) -> Result<bool> {
         let Some(request) = self.requests.receive_newest()? else { return Ok(false) };
         if !request.header().attempt.is_of(self.run) {
@@ -158,7 +160,7 @@ impl Schedule {
         Ok(true)
     }
 
-    /// Hears which zones were entered; whether there was anything.
+    /// Learns which zones were entered; returns whether there was anything new.
     fn hear_zones(&mut self) -> Result<bool> {
         let Some(zones) = self.zones.receive()? else { return Ok(false) };
         let header = zones.header();
@@ -168,7 +170,7 @@ impl Schedule {
         Ok(true)
     }
 
-    /// Answers zones with their gains, in one message.
+    /// Answers zones with their parameters, in one message.
     fn answer(&mut self, zones: Vec<(BatchHeader, Zone)>) -> Result<()> {
         let Self { batch: (batch, slots), sweeping, config, switches, early, counters, .. } = self;
         let mut answers = Vec::with_capacity(zones.len());
@@ -188,28 +190,26 @@ impl Schedule {
             };
             let by_zone = &sweeping.sweep().drive(index).by_zone;
             let entered = config.path.zones.get(zone.zone as usize);
-            let (Some(&gains), Some(entered)) = (by_zone.get(zone.zone as usize), entered) else {
-                // A single set holds in all zones.
+            let (Some(&parameters), Some(entered)) = (by_zone.get(zone.zone as usize), entered)
+            else {
+                // A single set is used in all zones.
                 continue;
             };
-            let Gains { kv, kl, ks, ki } = gains;
+            let named = config.law.named(&parameters);
             tracing::info!(
                 tick = zone.from_tick,
                 drive = index,
                 zone = entered.name,
-                kv,
-                kl,
-                ks,
-                ki,
+                parameters = %named,
                 "switch"
             );
             switches.entry(index).or_default().push(Switch {
                 tick: zone.from_tick,
                 zone: zone.zone,
                 name: entered.name.clone(),
-                gains,
+                gains: named,
             });
-            let parameters = gains.to_parameters();
+            let parameters = parameters.0;
             let Zone { from_tick, slot, zone } = zone;
             answers.push(GainSwitch { parameters, from_tick, slot, zone });
         }
@@ -220,13 +220,14 @@ impl Schedule {
         Ok(())
     }
 
-    /// Writes and announces the outcome once all drives are over, else asks for the rest.
+    /// Writes and announces the outcome once all drives are over; until then asks for the rest.
     fn go_on(&mut self) -> Result<()> {
         if self.sweeping.is_recording() {
             return Ok(());
         }
-        let Some(reports) = self.sweeping.reports() else { return self.propose() };
-        match &self.subject {
+        let Some(driven) = self.sweeping.driven() else { return self.propose() };
+        let recorded = self.sweeping.recorded();
+        let outcome = match &self.subject {
             Subject::Validation(validation) => {
                 let mut switches = vec![Vec::new(); validation.len()];
                 for (drive, of_drive) in &self.switches {
@@ -234,19 +235,20 @@ impl Schedule {
                         switches[row] = of_drive.clone();
                     }
                 }
-                let mut outcome = validation.outcome(&reports, &switches);
-                outcome.drives_recorded = self.sweeping.recorded();
-                write_outcome(&self.folder, &outcome)?;
+                let mut result = validation.result(&driven, &switches);
+                result.drives_recorded = recorded;
+                Outcome::Validate(result)
             }
-            Subject::Grid(grid) => write_outcome(&self.folder, &grid.outcome(&reports))?,
+            Subject::Grid(grid) => Outcome::Grid(grid.finish(&self.folder, &driven)?),
             Subject::Drive(drive) => {
                 let switches = self.switches.remove(&0).unwrap_or_default();
-                let mut outcome = drive.outcome(&reports[0], switches);
-                outcome.drives_recorded = self.sweeping.recorded();
-                write_outcome(&self.folder, &outcome)?;
+                let mut result = drive.result(&driven[0], switches);
+                result.drives_recorded = recorded;
+                Outcome::Drive(result)
             }
-        }
-        self.stage = Stage::Over;
+        };
+        write_outcome(&self.folder, &decided(&self.config, outcome))?;
+        self.stage = ScheduleStage::Over;
         let header = self.sweeping.header(Proposal::FINISHED);
         self.proposals.send(header, 1, |_| Proposal::default())?;
         Ok(())
@@ -255,11 +257,11 @@ impl Schedule {
 
 impl Service for Schedule {
     fn poll(&mut self) -> Result<bool> {
-        if self.stage == Stage::Fresh {
+        if self.stage == ScheduleStage::Fresh {
             self.go_on()?;
             return Ok(true);
         }
-        // A zone waits for nobody's answer but this one.
+        // A zone waits only for this answer.
         let mut any = self.hear_request()? | self.hear_zones()?;
         match self.sweeping.poll()? {
             Progress::None => {}
@@ -270,7 +272,7 @@ impl Service for Schedule {
             }
         }
         let Some(outcomes) = self.outcomes.receive()? else { return Ok(any) };
-        if !outcomes.header().attempt.is_of(self.run) || self.stage == Stage::Over {
+        if !outcomes.header().attempt.is_of(self.run) || self.stage == ScheduleStage::Over {
             self.counters.dropped += 1;
             return Ok(true);
         }

@@ -9,34 +9,33 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, anyhow, ensure};
-use config::RunConfig;
+use config::{Parameters, RunConfig};
 use ipc_types::{
-    Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal,
-    WakeRole,
+    Attempt, BatchHeader, DriveOutcome, DriveRequest, LearnerProgress, Proposal, WakeRole,
 };
+use outcome::{Decided, NoiseChoice, OUTCOME_FILE, Outcome, TrainResult, to_json};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
-use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::digest::to_hex;
 use crate::journal::Journal;
+use crate::ranking::grid_is_driven;
+use crate::result::{decided, train_result};
+use crate::story::Story;
 use crate::sweeping::{Place, Progress, Sweeping};
-use crate::{
-    DriveRecord, Finalists, NoiseOutcome, Outcome, PlannedDrive, Ranking, Training,
-    rank_mean_distance,
-};
+use crate::training::{Taken, Training};
+use crate::wire::record_of;
+use crate::{Finalists, PlannedDrive, Ranking, objective_of, rank_mean};
 
 /// Name of the journal in the run's folder.
 pub const JOURNAL_FILE: &str = "journal";
-/// Name of the outcome in the run's folder, while the orchestrator has not made `result.json` of it.
-pub const OUTCOME_FILE: &str = "outcome.json";
 
-/// Between two syncs of the journal: what a power cut may cost.
+/// Time between two syncs of the journal: what a power cut may cost.
 const SYNC_NS: u64 = 1_000_000_000;
-/// Remembered steps between two signs of life: some milliseconds of work.
+/// Number of remembered steps between two signs of life: a few milliseconds of work.
 const REMEMBERED_AT_ONCE: usize = 1000;
-/// Between two words on how far the ranking is.
+/// Time between two reports on the progress of the ranking.
 const TELL_NS: u64 = 100_000_000;
 
 /// Runs the process until it is asked to stop.
@@ -60,37 +59,53 @@ struct Trainer {
     max_len: usize,
     folder: PathBuf,
     config: RunConfig,
-    training: Training,
+    /// Shared with the ranking thread, but only once it has finished.
+    training: Arc<Training>,
     journal: Journal,
+    story: Story,
     synced_ns: u64,
-    /// Thousandths of the ranking that are done, and when that was told.
+    /// Thousandths of the ranking that are done, and when that was reported.
     ranked: Arc<AtomicU32>,
     told_ns: u64,
-    stage: Stage,
+    stage: TrainingStage,
     counters: Counters,
 }
 
-enum Stage {
+enum TrainingStage {
     /// Some steps can be answered from memory.
     Remembering,
     /// Waits for outcomes.
     Training,
     /// All learners have finished; under noise the best sets are driven again.
-    Finalists(Sweeping, Finalists),
+    Finalists(Sweeping, Box<Finalists>),
     /// A thread drives the grid.
-    Ranking(JoinHandle<Result<Outcome>>),
-    /// The tuned gains are shown.
-    Demonstrating(Sweeping, Box<Outcome>),
-    /// The outcome is written, and was announced.
+    Ranking(JoinHandle<Result<Chosen>>),
+    /// The tuned set is driven for the recordings.
+    Demonstrating(Sweeping, Box<TrainResult>),
+    /// The outcome has been written and announced.
     Over,
+}
+
+/// The set that a training has found, and its result.
+struct Chosen {
+    parameters: Parameters,
+    result: TrainResult,
 }
 
 impl Trainer {
     fn new(bus: Rc<Bus>, config: RunConfig, attachment: &Attachment) -> Result<Self> {
         let folder = attachment.folder.clone();
-        let mut training = Training::new(&config);
-        let journal =
-            Journal::open(&folder.join(JOURNAL_FILE), &fingerprint(&config), &mut training)?;
+        let mut training = Training::new(&config, objective_of(&config));
+        let mut story = Story::new(&folder, &config.law, config.learning.heading_weight)?;
+        let mut told = Ok(());
+        let each = |taken: &Taken| {
+            if told.is_ok() {
+                told = story.add(taken);
+            }
+        };
+        let path = folder.join(JOURNAL_FILE);
+        let journal = Journal::open(&path, &fingerprint(&config), &mut training, each)?;
+        told?;
         Ok(Self {
             outcomes: bus.inlet()?,
             proposals: bus.outlet()?,
@@ -101,12 +116,13 @@ impl Trainer {
             max_len: attachment.max_len,
             folder,
             config,
-            training,
+            training: Arc::new(training),
             journal,
+            story,
             synced_ns: 0,
             ranked: Arc::default(),
             told_ns: 0,
-            stage: Stage::Remembering,
+            stage: TrainingStage::Remembering,
             counters: Counters::default(),
         })
     }
@@ -116,37 +132,51 @@ impl Trainer {
         BatchHeader { attempt, flags, sent_ns: now_ns(), ..BatchHeader::default() }
     }
 
+    fn training_mut(&mut self) -> &mut Training {
+        Arc::get_mut(&mut self.training).expect("no ranking while drives are taken")
+    }
+
+    /// Notes a step in the journal and in the files for users.
+    fn note(&mut self, taken: &Taken) -> Result<()> {
+        self.journal.note(taken);
+        self.story.add(taken)
+    }
+
     /// Answers what memory can, writes the journal, and asks for the rest.
     fn propose(&mut self) -> Result<()> {
-        let Self { training, journal, .. } = self;
-        let answered = training.remember(REMEMBERED_AT_ONCE, |step| journal.note(step));
+        let mut taken = Vec::new();
+        let each = |step: &Taken| taken.push(step.clone());
+        let answered = self.training_mut().remember(REMEMBERED_AT_ONCE, each);
+        for taken in &taken {
+            self.note(taken)?;
+        }
         self.journal.write()?;
         let now_ns = now_ns();
         if now_ns - self.synced_ns >= SYNC_NS {
             self.journal.sync()?;
+            self.story.flush()?;
             self.synced_ns = now_ns;
         }
         self.tell_progress()?;
         if !answered {
-            self.stage = Stage::Remembering;
+            self.stage = TrainingStage::Remembering;
             return Ok(());
         }
         if self.training.is_finished() {
             return self.after_training();
         }
-        self.stage = Stage::Training;
+        self.stage = TrainingStage::Training;
         let wanted = self.training.wanted();
         let ticks = self.config.ticks();
-        let grid = self.config.grid;
         let flags = if self.config.noise.enabled { DriveRequest::NOISE } else { 0 };
         self.proposals.send(self.header(0), wanted.len(), |index| {
-            let wanted = wanted[index];
+            let ask = wanted[index];
             Proposal {
-                parameters: grid.gains(wanted.position).to_parameters(),
-                seed: wanted.seed,
+                parameters: ask.parameters.0,
+                seed: ask.seed,
                 ticks,
-                learner: wanted.learner,
-                step: wanted.step,
+                learner: ask.learner,
+                step: ask.step,
                 flags,
                 plant: 0,
             }
@@ -155,16 +185,15 @@ impl Trainer {
     }
 
     fn tell_progress(&mut self) -> Result<()> {
-        let learners = self.training.learners();
-        let episodes = self.config.learning.episodes;
-        self.progress.send(self.header(0), learners.len(), |index| {
-            let learner = &learners[index];
+        let tuner = self.training.tuner();
+        self.progress.send(self.header(0), tuner.learners() as usize, |index| {
+            let state = tuner.state(index as u32);
             LearnerProgress {
-                epsilon: learner.epsilon(),
-                best_distance: learner.best_distance(),
-                asked: learner.drives_taken().into(),
-                episode: learner.episodes().len() as u32,
-                episodes,
+                epsilon: state.epsilon,
+                best_value: state.best_value,
+                asked: state.drives.into(),
+                episode: state.episodes,
+                episodes: state.of_episodes,
             }
         })?;
         Ok(())
@@ -173,12 +202,12 @@ impl Trainer {
     fn learn(&mut self, outcomes: &[DriveOutcome]) -> Result<()> {
         for DriveOutcome { report, attempt } in outcomes {
             self.counters.batch = attempt.batch;
-            let drive = to_record(report);
+            let drive = record_of(report);
             // Asking again would bring the same report again.
             ensure!(drive.is_plausible(), "impossible numbers in a drive report: {report:?}");
-            match self.training.take(report.learner, report.step, drive) {
-                Some(step) => self.journal.note(&step),
-                // It was answered before: a report that was sent again.
+            match self.training_mut().take(report.learner, report.step, drive) {
+                Some(taken) => self.note(&taken)?,
+                // It was answered before: the report was sent again.
                 None => self.counters.dropped += 1,
             }
         }
@@ -196,23 +225,25 @@ impl Trainer {
         }
     }
 
-    /// What comes when all learners have finished: under noise the finalists, then the ranking.
+    /// Starts what follows when all learners have finished: under noise the finalists, then the ranking.
     fn after_training(&mut self) -> Result<()> {
+        self.story.flush()?;
         if !self.config.noise.enabled {
-            self.stage = Stage::Ranking(self.rank(None)?);
+            self.stage = TrainingStage::Ranking(self.rank(None)?);
             return Ok(());
         }
         let finalists = Finalists::new(&self.config, &self.training);
         // To the orchestrator each drive of a sweep is a learner of its own.
-        let first = self.training.learners().len() as u32;
+        let first = self.training.tuner().learners();
         let sweeping = Sweeping::new(&self.bus, self.place(), first, finalists.drives())?;
-        self.stage = Stage::Finalists(sweeping, finalists);
+        self.stage = TrainingStage::Finalists(sweeping, Box::new(finalists));
         self.ask()
     }
 
     /// Asks for the drives of a sweep that are still wanted.
     fn ask(&mut self) -> Result<()> {
-        let (Stage::Finalists(sweeping, _) | Stage::Demonstrating(sweeping, _)) = &self.stage
+        let (TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _)) =
+            &self.stage
         else {
             return Ok(());
         };
@@ -225,26 +256,28 @@ impl Trainer {
         Ok(())
     }
 
-    /// Goes on behind a sweep whose drives are all over. Whether it was.
+    /// Goes on after a sweep once all of its drives are over. Returns whether they were.
     fn after_sweep(&mut self) -> Result<bool> {
-        match std::mem::replace(&mut self.stage, Stage::Over) {
-            Stage::Finalists(sweeping, finalists) => match sweeping.reports() {
-                Some(reports) => {
-                    let noise = finalists.outcome(&self.config, &self.training, &reports);
-                    self.stage = Stage::Ranking(self.rank(Some(noise))?);
+        match std::mem::replace(&mut self.stage, TrainingStage::Over) {
+            TrainingStage::Finalists(sweeping, finalists) => match sweeping.driven() {
+                Some(driven) => {
+                    let records: Vec<_> = driven.iter().map(|it| it.record).collect();
+                    let choice =
+                        finalists.choose(&self.config, self.training.objective(), &records);
+                    self.stage = TrainingStage::Ranking(self.rank(Some(choice))?);
                 }
                 None => {
-                    self.stage = Stage::Finalists(sweeping, finalists);
+                    self.stage = TrainingStage::Finalists(sweeping, finalists);
                     return Ok(false);
                 }
             },
-            Stage::Demonstrating(sweeping, mut outcome) => {
-                if sweeping.reports().is_none() {
-                    self.stage = Stage::Demonstrating(sweeping, outcome);
+            TrainingStage::Demonstrating(sweeping, mut result) => {
+                if sweeping.driven().is_none() {
+                    self.stage = TrainingStage::Demonstrating(sweeping, result);
                     return Ok(false);
                 }
-                outcome.drives_recorded = sweeping.recorded();
-                write_outcome(&self.folder, &outcome)?;
+                result.drives_recorded = sweeping.recorded();
+                write_outcome(&self.folder, &decided(&self.config, Outcome::Train(result)))?;
                 self.proposals.send(self.header(Proposal::FINISHED), 1, |_| Proposal::default())?;
             }
             other => {
@@ -255,50 +288,62 @@ impl Trainer {
         Ok(true)
     }
 
-    /// Ranks what was chosen among all sets, in a thread: it may take a while, and the process shows meanwhile
-    /// that it lives.
-    fn rank(&self, noise: Option<NoiseOutcome>) -> Result<JoinHandle<Result<Outcome>>> {
+    /// Ranks what was chosen among all sets, in a separate thread: it may take a while, and the process must give signs
+    /// of life meanwhile.
+    fn rank(
+        &self,
+        choice: Option<(Parameters, NoiseChoice)>,
+    ) -> Result<JoinHandle<Result<Chosen>>> {
         let (config, training) = (self.config.clone(), self.training.clone());
         let journal = self.journal.file()?;
         let share = self.ranked.clone();
         Ok(std::thread::spawn(move || {
             journal.sync_data().context("failed to sync the journal")?;
-            let noise = noise.map(|noise| {
-                let progress = |done: f64| share.store((1000.0 * done) as u32, Ordering::Relaxed);
-                let rank = rank_mean_distance(&config, noise.finalists[0].gains, progress);
-                (noise, rank)
+            let progress = |done: f64| share.store((1000.0 * done) as u32, Ordering::Relaxed);
+            let noise = choice.map(|(parameters, choice)| {
+                let rank = grid_is_driven(&config)
+                    .then(|| rank_mean(&config, training.objective(), &parameters, progress));
+                (choice, parameters, rank)
             });
-            Ok(Outcome::new(&config, &training, &mut Ranking::by_rollout(&config), noise))
+            let result = train_result(&config, &training, &Ranking::by_rollout(&config), noise);
+            let parameters = config
+                .law
+                .parameters_of(&result.gains)
+                .map_err(|(key, problem)| anyhow!("the tuned set: {key} {problem}"))?;
+            Ok(Chosen { parameters, result })
         }))
     }
 
-    /// Waits for the ranking; then shows what the tuned gains do, in recorded drives.
+    /// Waits for the ranking; then makes recorded drives with the tuned set.
     fn after_ranking(&mut self) -> Result<bool> {
-        let Stage::Ranking(thread) = std::mem::replace(&mut self.stage, Stage::Over) else {
+        let TrainingStage::Ranking(thread) =
+            std::mem::replace(&mut self.stage, TrainingStage::Over)
+        else {
             return Ok(false);
         };
         if !thread.is_finished() {
-            self.stage = Stage::Ranking(thread);
+            self.stage = TrainingStage::Ranking(thread);
             self.tell_ranking()?;
             return Ok(false);
         }
-        let outcome = thread.join().map_err(|_| anyhow!("the ranking panicked"))??;
+        let Chosen { parameters, result } =
+            thread.join().map_err(|_| anyhow!("the ranking panicked"))??;
         let drives = [("tuned_noise_free", None), ("tuned_noisy", Some(1))]
             .map(|(name, seed)| PlannedDrive {
-                by_zone: vec![outcome.gains],
+                by_zone: vec![parameters],
                 seed,
                 record: Some(name.to_owned()),
             })
             .to_vec();
-        // Beyond the learners and all finalists.
+        // Numbers above those of the learners and all finalists.
         let first = u32::MAX / 2;
         let sweeping = Sweeping::new(&self.bus, self.place(), first, drives)?;
-        self.stage = Stage::Demonstrating(sweeping, Box::new(outcome));
+        self.stage = TrainingStage::Demonstrating(sweeping, Box::new(result));
         self.ask()?;
         Ok(true)
     }
 
-    /// Tells how far the ranking is, where it takes long enough to be told.
+    /// Reports the progress of the ranking, if it takes long enough.
     fn tell_ranking(&mut self) -> Result<()> {
         let now_ns = now_ns();
         if now_ns - self.told_ns < TELL_NS {
@@ -306,37 +351,24 @@ impl Trainer {
         }
         self.told_ns = now_ns;
         let ranked = self.ranked.load(Ordering::Relaxed);
-        let (epsilon, best_distance) = (0.0, f64::INFINITY);
+        let (epsilon, best_value) = (0.0, f64::INFINITY);
         let progress =
-            LearnerProgress { epsilon, best_distance, asked: 0, episode: ranked, episodes: 1000 };
+            LearnerProgress { epsilon, best_value, asked: 0, episode: ranked, episodes: 1000 };
         self.progress.send(self.header(LearnerProgress::RANKING), 1, |_| progress)?;
         Ok(())
     }
 }
 
-/// Writes the outcome, by rename: whoever sees the file sees all of it.
-pub(crate) fn write_outcome(folder: &Path, outcome: &impl Serialize) -> Result<()> {
+/// Writes the decided part of the result, by rename, so that nobody reads half of it.
+pub(crate) fn write_outcome(folder: &Path, decided: &Decided) -> Result<()> {
     let path = folder.join(OUTCOME_FILE);
     let whole = path.with_extension("part");
-    fs::write(&whole, serde_json::to_vec(outcome)?)
+    fs::write(&whole, to_json(decided))
         .and_then(|()| fs::rename(&whole, &path))
         .with_context(|| format!("failed to write {path:?}"))
 }
 
-fn to_record(report: &DriveReport) -> DriveRecord {
-    DriveRecord {
-        mean_abs_along_m: report.mean_abs_along_m,
-        mean_abs_cross_m: report.mean_abs_cross_m,
-        mean_abs_heading_rad: report.mean_abs_heading_rad,
-        along_mse_m2: report.along_mse_m2,
-        cross_mse_m2: report.cross_mse_m2,
-        ticks: report.ticks,
-        collision: report.reason == DriveReport::COLLISION,
-        trace: report.trace,
-    }
-}
-
-/// Hash of everything that decides a training; fleet size, memory and gains that were promoted before do not.
+/// Hash of everything that determines a training; fleet size, memory and gains that were promoted before do not.
 fn fingerprint(config: &RunConfig) -> String {
     let mut config = config.clone();
     config.run.fleet = 0;
@@ -349,12 +381,12 @@ fn fingerprint(config: &RunConfig) -> String {
 impl Service for Trainer {
     fn poll(&mut self) -> Result<bool> {
         match &mut self.stage {
-            Stage::Remembering => {
+            TrainingStage::Remembering => {
                 self.propose()?;
                 return Ok(true);
             }
-            Stage::Ranking(_) => return self.after_ranking(),
-            Stage::Finalists(sweeping, _) | Stage::Demonstrating(sweeping, _) => {
+            TrainingStage::Ranking(_) => return self.after_ranking(),
+            TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _) => {
                 match sweeping.poll()? {
                     Progress::None => {}
                     Progress::Recording => return Ok(true),
@@ -366,7 +398,7 @@ impl Service for Trainer {
                     }
                 }
             }
-            Stage::Training | Stage::Over => {}
+            TrainingStage::Training | TrainingStage::Over => {}
         }
         let Some(outcomes) = self.outcomes.receive()? else { return Ok(false) };
         if !outcomes.header().attempt.is_of(self.run) {
@@ -374,7 +406,7 @@ impl Service for Trainer {
             return Ok(true);
         }
         match &mut self.stage {
-            Stage::Finalists(sweeping, _) | Stage::Demonstrating(sweeping, _) => {
+            TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _) => {
                 self.counters.dropped += sweeping.learn(outcomes.items())?;
                 if !self.after_sweep()? {
                     self.ask()?;
@@ -382,7 +414,7 @@ impl Service for Trainer {
             }
             _ => self.learn(outcomes.items())?,
         }
-        if matches!(self.stage, Stage::Training) {
+        if matches!(self.stage, TrainingStage::Training) {
             self.propose()?;
         }
         Ok(true)

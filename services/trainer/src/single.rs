@@ -1,80 +1,68 @@
-//! One drive with given gains: what `pathtune drive` makes.
+//! One drive with given parameters: what `pathtune drive` makes.
 
-use config::{Gains, RunConfig, SweepPlan};
+use config::{ConfigError, Parameters, RunConfig, SweepPlan};
 use ipc_types::{DriveReport, Odometry, has};
-use serde::{Deserialize, Serialize};
+use outcome::Switch;
+use tracking::{EndReason, Objective};
 
-use crate::digest::digest_of_reports;
+use crate::digest::digest_of_drives;
+use crate::ranking::measures_of;
 use crate::sweep::PlannedDrive;
-use crate::validation::Switch;
+use crate::wire::Driven;
 
-/// One drive with given gains.
+/// One drive with given parameters.
 #[derive(Debug, Clone)]
 pub struct SingleDrive {
     config: RunConfig,
-    gains: Vec<Gains>,
-}
-
-/// What the drive has come to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "the keys of result.json, described in the README")]
-pub struct SingleOutcome {
-    /// Over the drive's report; in real time no two are alike.
-    pub digest: String,
-    pub gains: Vec<Gains>,
-    /// Why it ended: `time`, `goal` or `collision`.
-    pub reason: String,
-    /// Time that was driven, stops left out.
-    pub driven_s: f64,
-    pub mse_m2: f64,
-    pub along_m2: f64,
-    pub cross_m2: f64,
-    pub mean_abs_cross_track_m: f64,
-    pub max_cross_track_m: f64,
-    /// Whether the errors are those of true poses, which only a simulator knows.
-    pub true_poses: bool,
-    /// Whether the controller was restarted on the way: then the errors are those since.
-    pub joined: bool,
-    pub switches: Vec<Switch>,
-    pub drives_recorded: Vec<String>,
+    objective: Objective,
+    sets: Vec<Parameters>,
 }
 
 impl SingleDrive {
-    /// The drive of a plan, whose only set it is made with.
-    pub fn new(config: &RunConfig, plan: &SweepPlan) -> Self {
-        Self { config: config.clone(), gains: plan.sets.first().cloned().unwrap_or_default() }
+    /// The drive of a plan, made with the plan's only set.
+    ///
+    /// # Errors
+    /// If the plan's set is not of the configuration's law.
+    pub fn new(config: &RunConfig, plan: &SweepPlan) -> Result<Self, ConfigError> {
+        let sets = plan.parameters(&config.law)?.into_iter().next().unwrap_or_default();
+        Ok(Self { config: config.clone(), objective: crate::objective_of(config), sets })
     }
 
-    /// The drive, as the list of drives that it is.
+    /// The drive, as a list of one drive.
     pub fn drives(&self) -> Vec<PlannedDrive> {
         let noise = self.config.noise.enabled;
         vec![PlannedDrive {
-            by_zone: match &self.gains[..] {
-                [_] => self.gains.clone(),
-                sets => self.config.gains_by_zone(sets),
+            by_zone: match &self.sets[..] {
+                [_] => self.sets.clone(),
+                sets => self.config.sets_by_zone(sets),
             },
             seed: noise.then_some(self.config.run.seed),
             record: Some("drive".to_owned()),
         }]
     }
 
-    /// What the report comes to.
-    pub fn outcome(&self, report: &DriveReport, switches: Vec<Switch>) -> SingleOutcome {
-        SingleOutcome {
-            digest: digest_of_reports(std::slice::from_ref(report)),
-            gains: self.gains.clone(),
-            reason: match report.reason {
-                DriveReport::GOAL => "goal",
-                DriveReport::COLLISION => "collision",
-                _ => "time",
+    /// The result of the report.
+    pub fn result(&self, driven: &Driven, switches: Vec<Switch>) -> outcome::SingleDrive {
+        let Driven { report, record } = driven;
+        let law = &self.config.law;
+        outcome::SingleDrive {
+            digest: digest_of_drives(std::slice::from_ref(driven), law.count()),
+            gains: self.sets.iter().map(|set| law.named(set)).collect(),
+            reason: match record.reason {
+                EndReason::Goal => "goal",
+                EndReason::Collision => "collision",
+                EndReason::Time => "time",
             }
             .to_owned(),
-            driven_s: report.ticks as f64 * self.config.drive.tick_s,
-            mse_m2: report.along_mse_m2 + report.cross_mse_m2,
-            along_m2: report.along_mse_m2,
-            cross_m2: report.cross_mse_m2,
-            mean_abs_cross_track_m: report.mean_abs_cross_m,
-            max_cross_track_m: report.max_abs_cross_m,
+            driven_s: record.ticks as f64 * self.config.drive.tick_s,
+            progress: record.progress,
+            measures: measures_of(&self.objective, self.config.learning.heading_weight, record),
+            along_m2: record.along_mse_m2,
+            cross_m2: record.cross_mse_m2,
+            mean_abs_cross_track_m: record.mean_abs_cross_m,
+            max_cross_track_m: record.max_abs_cross_m,
+            steering_travel_radps: record.steering_travel_radps,
+            lateral_acceleration_max_mps2: record.lateral_acceleration_max_mps2,
             true_poses: has(report.flags, Odometry::HAS_TRUTH),
             joined: has(report.flags, DriveReport::JOINED),
             switches,

@@ -1,11 +1,11 @@
 //! Means and their intervals.
 
-use serde::{Deserialize, Serialize};
+use outcome::Verdict;
 
 use crate::rng::Stream;
 
 /// A mean with its 95 % bootstrap interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
     /// The mean.
     pub mean: f64,
@@ -15,7 +15,7 @@ pub struct Estimate {
     pub high: f64,
 }
 
-/// Resamples of a bootstrap: the interval's ends are then good to about a tenth of its width.
+/// Number of resamples of a bootstrap: with these, the interval's ends are accurate to about a tenth of its width.
 const RESAMPLES: usize = 10_000;
 
 impl Estimate {
@@ -45,7 +45,7 @@ impl Estimate {
         Self::of(&differences)
     }
 
-    /// What a difference of costs says of the first one: better or worse only where the interval excludes 0.
+    /// What a difference of costs says about the first one: better or worse only if the interval excludes 0.
     pub fn verdict(&self) -> Verdict {
         if self.high < 0.0 {
             Verdict::Better
@@ -55,18 +55,6 @@ impl Estimate {
             Verdict::Undecided
         }
     }
-}
-
-/// What a paired difference says.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    /// The interval of the difference lies below 0.
-    Better,
-    /// It lies above 0.
-    Worse,
-    /// It holds 0.
-    Undecided,
 }
 
 /// The mean of some values.

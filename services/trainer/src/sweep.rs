@@ -1,16 +1,18 @@
-//! A list of drives, each made once: what is driven outside learning.
+//! A list of drives, each made once: the drives that are not made for learning.
 
-use config::Gains;
+use config::Parameters;
 use ipc_types::{DriveReport, DriveRequest, Proposal};
+
+use crate::wire::Driven;
 
 /// One drive of a sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlannedDrive {
-    /// The gains of each zone; a single set holds in all of them.
-    pub by_zone: Vec<Gains>,
-    /// Seed of the noise; none for a drive without.
+    /// The parameters of each zone; a single set is used in all of them.
+    pub by_zone: Vec<Parameters>,
+    /// Seed of the noise; `None` for a drive without noise.
     pub seed: Option<u64>,
-    /// The file, without its ending, that its recording goes to; none for a drive that is not recorded.
+    /// The name, without extension, of the file for its recording; `None` for a drive that is not recorded.
     pub record: Option<String>,
 }
 
@@ -27,14 +29,14 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// A sweep whose drives go by the learners `first_learner`, `first_learner + 1`, … and by `step`. A
-    /// process that takes another step than its predecessor is never answered what that one had asked for.
+    /// A sweep whose drives are identified by the learners `first_learner`, `first_learner + 1`, … and by `step`. A
+    /// process that uses another step than its predecessor never gets answers to the predecessor's requests.
     pub fn new(first_learner: u32, step: u32, ticks: u64, drives: Vec<PlannedDrive>) -> Self {
         let reports = vec![None; drives.len()];
         Self { first_learner, step, ticks, drives, reports }
     }
 
-    /// The drives that are still wanted, at most so many.
+    /// The drives that are still wanted, at most `at_most`.
     pub fn wanted(&self, at_most: usize) -> Vec<Proposal> {
         (self.first_learner..)
             .zip(self.drives.iter().zip(&self.reports))
@@ -47,7 +49,7 @@ impl Sweep {
     fn proposal(&self, learner: u32, drive: &PlannedDrive) -> Proposal {
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
         Proposal {
-            parameters: drive.by_zone[0].to_parameters(),
+            parameters: drive.by_zone[0].0,
             seed: drive.seed.unwrap_or_default(),
             ticks: self.ticks,
             learner,
@@ -59,13 +61,13 @@ impl Sweep {
         }
     }
 
-    /// The number of the drive that goes by `learner`, whichever process asked for it.
+    /// The number of the drive of `learner`, whichever process asked for it.
     pub fn index_of(&self, learner: u32) -> Option<usize> {
         let index = learner.checked_sub(self.first_learner)? as usize;
         (index < self.drives.len()).then_some(index)
     }
 
-    /// The number of the drive that goes by `learner` and `step`: one that this process asked for.
+    /// The number of the drive of `learner` and `step`, if this process asked for it.
     pub fn index_of_own(&self, learner: u32, step: u32) -> Option<usize> {
         self.index_of(learner).filter(|_| step == self.step)
     }
@@ -75,30 +77,30 @@ impl Sweep {
         &self.drives[index]
     }
 
-    /// Takes the report of a drive; whether it was wanted.
+    /// Takes the report of a drive; returns whether it was wanted.
     pub fn take(&mut self, report: &DriveReport) -> bool {
         let Some(index) = self.index_of_own(report.learner, report.step) else { return false };
         self.reports[index].replace(*report).is_none()
     }
 
-    /// Drives in all.
+    /// Number of drives.
     pub fn len(&self) -> usize {
         self.drives.len()
     }
 
-    /// Whether nothing is to be driven.
+    /// Whether there is nothing to drive.
     pub fn is_empty(&self) -> bool {
         self.drives.is_empty()
     }
 
-    /// Drives that are over.
+    /// Number of drives that are over.
     pub fn done(&self) -> usize {
         self.reports.iter().filter(|report| report.is_some()).count()
     }
 
-    /// The reports, in the order of the drives, once all are over.
-    pub fn reports(&self) -> Option<Vec<DriveReport>> {
-        self.reports.iter().copied().collect()
+    /// The drives that were made, in their order, once all are over.
+    pub fn driven(&self) -> Option<Vec<Driven>> {
+        self.reports.iter().map(|report| report.map(Driven::from)).collect()
     }
 }
 
@@ -108,13 +110,10 @@ mod tests {
 
     #[test]
     fn every_drive_is_asked_for_until_it_is_reported() {
-        let gains = Gains { kv: 1.0, kl: 2.0, ks: 3.0, ki: 0.5 };
-        let plain = PlannedDrive { by_zone: vec![gains], seed: None, record: None };
-        let rich = PlannedDrive {
-            by_zone: vec![gains; 3],
-            seed: Some(4),
-            record: Some("rich".to_owned()),
-        };
+        let set = Parameters::of(&[1.0, 2.0, 3.0, 0.5]);
+        let plain = PlannedDrive { by_zone: vec![set], seed: None, record: None };
+        let rich =
+            PlannedDrive { by_zone: vec![set; 3], seed: Some(4), record: Some("rich".to_owned()) };
         let mut sweep = Sweep::new(5, 2, 100, vec![plain, rich]);
         let wanted = sweep.wanted(9);
         assert_eq!(wanted.iter().map(|it| it.learner).collect::<Vec<_>>(), [5, 6]);
@@ -127,9 +126,9 @@ mod tests {
         assert!(!sweep.take(&report(4, 2)) && !sweep.take(&report(7, 2)));
         assert!(!sweep.take(&report(5, 1)), "what a predecessor asked for");
         assert!(sweep.take(&report(6, 2)) && !sweep.take(&report(6, 2)));
-        assert!(sweep.reports().is_none());
+        assert!(sweep.driven().is_none());
         assert!(sweep.take(&report(5, 2)));
-        assert_eq!(sweep.reports().unwrap()[1].learner, 6);
+        assert_eq!(sweep.driven().unwrap()[1].report.learner, 6);
         assert!(sweep.wanted(9).is_empty());
     }
 }

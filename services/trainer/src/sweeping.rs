@@ -1,15 +1,15 @@
-//! A sweep joined to the pipeline: asks for its drives, records those that are to be, takes their reports.
+//! A sweep joined to the pipeline: asks for its drives, records those that must be recorded, and takes their reports.
 
 use std::path::PathBuf;
-use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use ipc_types::{Attempt, BatchHeader, DriveOutcome, DriveReport, LearnerProgress, Proposal};
 use runtime::Bus;
 use runtime::clock::now_ns;
 
-use crate::recording::{Recorder, write};
+use crate::recording::{RECORDING_PATIENCE, Recorder, write};
 use crate::sweep::{PlannedDrive, Sweep};
+use crate::wire::{Driven, record_of};
 
 /// Where a sweep belongs.
 pub(crate) struct Place {
@@ -23,11 +23,7 @@ pub(crate) struct Place {
     pub(crate) incarnation: u64,
 }
 
-/// A recording that is not whole so long behind its report will never be: a vehicle that does not wait for
-/// the recorder was too fast for it.
-const RECORDING_PATIENCE: Duration = Duration::from_millis(500);
-
-/// What one look at a sweep has brought.
+/// The result of one look at a sweep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Progress {
     /// Nothing.
@@ -43,7 +39,7 @@ pub(crate) struct Sweeping {
     place: Place,
     sweep: Sweep,
     recorder: Option<Recorder>,
-    /// Reports whose recordings are not whole yet, with the time at which they came.
+    /// Reports whose recordings are not complete yet, with the time at which they came.
     unrecorded: Vec<(DriveReport, u64)>,
     /// Names of the drives that were recorded.
     recorded: Vec<String>,
@@ -57,18 +53,18 @@ impl Sweeping {
         drives: Vec<PlannedDrive>,
     ) -> Result<Self> {
         let records = drives.iter().any(|drive| drive.record.is_some());
-        // Observers cost every tick a little: only where there is something to record.
+        // Observers cost a little of every tick, so they are attached only if there is something to record.
         let recorder =
             if records { Some(Recorder::new(bus, place.run, place.tick_s)?) } else { None };
-        // What only this process saw, recordings and switches, must be driven again for its successor. Of all else
-        // the reports are enough, and the orchestrator still has them.
+        // Drives of which only the predecessor saw something (recordings and switches) must be made again. For all
+        // others the reports are enough, and the orchestrator still has them.
         let is_watched = records || drives.iter().any(|drive| drive.by_zone.len() > 1);
         let step = if is_watched { place.incarnation as u32 } else { 0 };
         let sweep = Sweep::new(first_learner, step, place.ticks, drives);
         Ok(Self { place, sweep, recorder, unrecorded: Vec::new(), recorded: Vec::new() })
     }
 
-    /// The drives that are still wanted, as many as one message carries.
+    /// The drives that are still wanted, at most as many as one message carries.
     pub(crate) fn wanted(&self) -> Vec<Proposal> {
         self.sweep.wanted(self.place.max_len)
     }
@@ -84,17 +80,15 @@ impl Sweeping {
         names
     }
 
-    /// Takes outcomes; how many of them were not wanted.
+    /// Takes outcomes; returns how many of them were not wanted.
     pub(crate) fn learn(&mut self, outcomes: &[DriveOutcome]) -> Result<u64> {
         let mut dropped = 0;
         for DriveOutcome { report, .. } in outcomes {
-            let plausible =
-                [report.mean_abs_cross_m, report.mean_abs_heading_rad, report.along_mse_m2]
-                    .into_iter()
-                    .chain([report.cross_mse_m2, report.max_abs_cross_m])
-                    .all(|number| number.is_finite() && number >= 0.0);
             // Asking again would bring the same report again.
-            ensure!(plausible, "impossible numbers in a drive report: {report:?}");
+            ensure!(
+                record_of(report).is_plausible(),
+                "impossible numbers in a drive report: {report:?}"
+            );
             let Some(index) = self.sweep.index_of_own(report.learner, report.step) else {
                 dropped += 1;
                 continue;
@@ -108,7 +102,7 @@ impl Sweeping {
         Ok(dropped)
     }
 
-    /// Records. What was reported is over once its recording is written.
+    /// Records. A reported drive is over once its recording is written.
     pub(crate) fn poll(&mut self) -> Result<Progress> {
         let Some(recorder) = &mut self.recorder else { return Ok(Progress::None) };
         let any = recorder.poll()?;
@@ -146,16 +140,16 @@ impl Sweeping {
         !self.unrecorded.is_empty()
     }
 
-    /// The reports, once all drives are over.
-    pub(crate) fn reports(&self) -> Option<Vec<DriveReport>> {
-        if self.is_recording() { None } else { self.sweep.reports() }
+    /// The drives that were made, once all are over.
+    pub(crate) fn driven(&self) -> Option<Vec<Driven>> {
+        if self.is_recording() { None } else { self.sweep.driven() }
     }
 
-    /// Where the sweep stands; goes with [`LearnerProgress::DRIVES`].
+    /// Progress of the sweep, to be sent with [`LearnerProgress::DRIVES`].
     pub(crate) fn progress(&self) -> LearnerProgress {
         LearnerProgress {
             epsilon: 0.0,
-            best_distance: f64::INFINITY,
+            best_value: f64::INFINITY,
             asked: self.sweep.done() as u64,
             episode: self.sweep.done() as u32,
             episodes: self.sweep.len() as u32,

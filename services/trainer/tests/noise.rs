@@ -2,10 +2,10 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use config::{Layers, RunConfig};
-use ipc_types::DriveReport;
+use config::{Layers, Parameters, RunConfig};
 use rollout::Rollout;
-use trainer::{Finalists, rank_mean_distance, train_by_rollout};
+use tracking::DriveRecord;
+use trainer::{Finalists, objective_of, rank_mean, train_by_rollout};
 
 fn noisy_roundabout() -> RunConfig {
     let mut layers = Layers::maneuver("roundabout").unwrap();
@@ -16,11 +16,12 @@ fn noisy_roundabout() -> RunConfig {
 }
 
 #[test]
+#[allow(clippy::disallowed_methods, reason = "a test may start threads")]
 fn the_choice_under_noise_lies_in_the_best_twentieth() {
     let config = noisy_roundabout();
     let seeds: Vec<u64> = (1..=20).collect();
     let next = AtomicU64::new(0);
-    let mut chosen: Vec<(u64, config::Gains)> = std::thread::scope(|scope| {
+    let mut chosen: Vec<(u64, Parameters)> = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..std::thread::available_parallelism().map_or(1, usize::from))
             .map(|_| {
                 scope.spawn(|| {
@@ -40,21 +41,21 @@ fn the_choice_under_noise_lies_in_the_best_twentieth() {
     chosen.sort_by_key(|(seed, _)| *seed);
 
     // Many seeds choose the same set; each set is ranked once.
-    let mut ranks: Vec<(config::Gains, usize)> = Vec::new();
-    let mut rank = |gains: config::Gains| match ranks.iter().find(|(known, _)| *known == gains) {
+    let mut ranks: Vec<(Parameters, usize)> = Vec::new();
+    let mut rank = |set: Parameters| match ranks.iter().find(|(known, _)| *known == set) {
         Some((_, rank)) => *rank,
         None => {
-            let rank = rank_mean_distance(&config, gains, |_| {});
-            ranks.push((gains, rank));
+            let rank = rank_mean(&config, &objective_of(&config), &set, |_| {});
+            ranks.push((set, rank));
             rank
         }
     };
-    let best = config.grid.len() / 20;
+    let best = config.grid().len() / 20;
     let good = chosen
         .iter()
-        .filter(|(seed, gains)| {
-            let rank = rank(*gains);
-            println!("seed {seed}: {gains:?}, rank {rank} of {}", config.grid.len());
+        .filter(|(seed, set)| {
+            let rank = rank(*set);
+            println!("seed {seed}: {set:?}, rank {rank} of {}", config.grid().len());
             rank <= best
         })
         .count();
@@ -62,21 +63,14 @@ fn the_choice_under_noise_lies_in_the_best_twentieth() {
 }
 
 /// A whole training under noise by plain calls, and the choice among its finalists.
-fn choose(config: &RunConfig) -> config::Gains {
+fn choose(config: &RunConfig) -> Parameters {
     let training = train_by_rollout(config);
     let finalists = Finalists::new(config, &training);
     let mut rollout = Rollout::new(config);
-    let reports: Vec<DriveReport> = finalists
+    let records: Vec<DriveRecord> = finalists
         .drives()
         .iter()
-        .map(|drive| {
-            let metrics = rollout.drive(drive.by_zone[0], drive.seed).metrics;
-            DriveReport {
-                mean_abs_cross_m: metrics.mean_abs_cross_m,
-                mean_abs_heading_rad: metrics.mean_abs_heading_rad,
-                ..DriveReport::default()
-            }
-        })
+        .map(|drive| rollout.drive(drive.by_zone[0], drive.seed))
         .collect();
-    finalists.outcome(config, &training, &reports).finalists[0].gains
+    finalists.choose(config, &objective_of(config), &records).0
 }

@@ -1,4 +1,5 @@
-//! A run as it is watched: its topics drained into the figures, and what its orchestrator tells of its processes.
+//! A run as an observer sees it: its topics drained into the figures, and what its orchestrator reports about its
+//! processes.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -16,12 +17,12 @@ use crate::MonitorError;
 use crate::latency::{Figures, Latency};
 use crate::report::{Circumstances, Report, Vehicle};
 
-/// How long a run that is only just being made may refuse.
+/// How long a run that is only just being created may refuse an observer.
 const BEING_MADE: Duration = Duration::from_secs(2);
 
-/// A run that is watched.
-pub(crate) struct Watch {
-    // The ports go before the place on the bus that they belong to: fields are dropped in this order.
+/// A run that is observed.
+pub(crate) struct ObservedRun {
+    // The ports must be dropped before the observer's place on the bus: fields are dropped in this order.
     odometry: Inlet<Odometry>,
     raw_commands: Inlet<RawCommand>,
     commands: Inlet<Command>,
@@ -50,7 +51,7 @@ struct ProcessState {
     restarts: u32,
 }
 
-impl Watch {
+impl ObservedRun {
     /// Joins a run as one more observer.
     pub(crate) fn attach(
         names: &RunNames,
@@ -60,7 +61,7 @@ impl Watch {
         let until_ns = now_ns() + BEING_MADE.as_nanos() as u64;
         loop {
             let error = match Self::try_attach(names, slot, budget_ns) {
-                Ok(watch) => return Ok(watch),
+                Ok(run) => return Ok(run),
                 Err(error) => error,
             };
             match error {
@@ -87,7 +88,7 @@ impl Watch {
         };
         let (odometry, raw_commands, commands, safety) = ports()?;
         let now_ns = now_ns();
-        let mut watch = Self {
+        let mut run = Self {
             odometry,
             raw_commands,
             commands,
@@ -107,13 +108,13 @@ impl Watch {
             began_ns: now_ns,
             interval_ns: now_ns,
         };
-        watch.restarts = watch.read_restarts().unwrap_or_default();
-        Ok(watch)
+        run.restarts = run.read_restarts().unwrap_or_default();
+        Ok(run)
     }
 
     /// Takes what has come.
     pub(crate) fn drain(&mut self) -> Result<(), MonitorError> {
-        // More than a buffer is what came while it was drained: that can wait for the next time.
+        // What exceeds a buffer came while it was drained: that can wait for the next time.
         for _ in 0..OBSERVER_BUFFER {
             let Some(message) = self.odometry.receive()? else { break };
             self.latency.odometry(message.header());
@@ -156,10 +157,10 @@ impl Watch {
             vehicle.zone = command.zone;
             vehicle.flags = Command::flag_names(command.flags);
         } else if !self.is_in_range {
-            // Later batches may be smaller; the first one that is seen tells whether the slot was meant.
+            // Later batches may be smaller; the first one that is seen shows whether the slot exists.
             let last = vehicle.fleet.saturating_sub(1);
             return Err(MonitorError::User(format!(
-                "there is no vehicle {slot}: the fleet has {}, of which the last is --vehicle {last}",
+                "there is no vehicle {slot}: the fleet has {}, and the last one is --vehicle {last}",
                 vehicle.fleet
             )));
         } else {
@@ -168,12 +169,12 @@ impl Watch {
         Ok(())
     }
 
-    /// The attempt that is driven; none before the first odometry.
+    /// The attempt that is driven; `None` before the first odometry.
     pub(crate) fn drive(&self) -> Option<Attempt> {
         self.latency.newest().map(|header| header.attempt)
     }
 
-    /// Since the monitor has begun, or was reset.
+    /// Time since the monitor began, or was reset.
     pub(crate) fn age_s(&self) -> f64 {
         (now_ns() - self.began_ns) as f64 * 1e-9
     }
@@ -197,7 +198,7 @@ impl Watch {
         Report::new(&self.latency, &interval, self.total.counts, at)
     }
 
-    /// The report of everything since the monitor has begun, or was reset.
+    /// The report of everything since the monitor began, or was reset.
     pub(crate) fn total(&self) -> Report {
         let at = self.circumstances(now_ns(), self.began_ns);
         Report::new(&self.latency, &self.total, self.total.counts, at)
@@ -227,7 +228,7 @@ impl Watch {
         Some(state.processes.into_iter().map(|process| (process.name, process.restarts)).collect())
     }
 
-    /// Restarts that the orchestrator has told of since this was last asked.
+    /// Restarts that the orchestrator has reported since the last call.
     pub(crate) fn new_restarts(&mut self) -> Vec<String> {
         let Some(restarts) = self.read_restarts() else { return Vec::new() };
         let is_new = |(name, count): &(&String, &u32)| {
@@ -248,7 +249,7 @@ impl Watch {
     }
 }
 
-/// Whether a run that was alive still is. Unlike a run that is only just being made, it has its lock.
+/// Whether a run that was alive still is. Unlike a run that is only just being created, it has its lock.
 fn is_alive(names: &RunNames) -> bool {
     File::open(names.root.join(LOCK_FILE)).is_ok_and(|lock| lock.try_lock().is_err())
 }

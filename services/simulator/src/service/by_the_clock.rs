@@ -7,22 +7,23 @@ use ipc_types::{BatchHeader, Command, Odometry, TickHeader, has};
 use runtime::clock::now_ns;
 use runtime::{Counters, Inlet, Outlet};
 
-use crate::service::Slot;
+use super::Slot;
 
-/// Ticks that are made up for at most, where the process did not run for a while: a second of the usual tick.
+/// The largest number of missed ticks that are made up for, if the process did not run for a while: a second at the
+/// usual tick.
 const MOST_MISSED: u64 = 100;
 
-/// What real time adds to a simulator.
-pub(crate) struct Clocked {
+/// The additional state of a simulator in real time.
+pub(super) struct Clocked {
     tick_ns: u64,
     command_age_limit_ns: u64,
-    /// What the vehicle's own stop takes off its speed in a tick.
+    /// By how much the vehicle's own stop reduces its speed in a tick.
     stop_step_mps: f64,
     started_ns: u64,
     batch: Option<Batch>,
 }
 
-/// The batch under way; it goes on behind its end, until the next one.
+/// The batch under way; the vehicle goes on after its end, until the next one.
 struct Batch {
     header: BatchHeader,
     /// The time of tick 0.
@@ -35,7 +36,7 @@ struct Batch {
 }
 
 impl Clocked {
-    pub(crate) fn new(config: &RunConfig, started_ns: u64) -> Self {
+    pub(super) fn new(config: &RunConfig, started_ns: u64) -> Self {
         let safety = config.vehicle.safety;
         Self {
             tick_ns: (config.drive.tick_s * 1e9) as u64,
@@ -47,20 +48,20 @@ impl Clocked {
     }
 
     /// Begins a batch now, or joins one that had begun before this process did.
-    pub(crate) fn start(&mut self, header: BatchHeader, now_ns: u64) {
+    pub(super) fn start(&mut self, header: BatchHeader, now_ns: u64) {
         let joins = header.sent_ns < self.started_ns;
         let since_ns = if joins { header.sent_ns } else { now_ns };
         let tick = now_ns.saturating_sub(since_ns).div_ceil(self.tick_ns);
         self.batch = Some(Batch { header, since_ns, tick, held: None, applied_ns: 0 });
     }
 
-    /// When the next tick is due; never, before the first batch.
-    pub(crate) fn due_ns(&self) -> u64 {
+    /// When the next tick is due; never before the first batch.
+    pub(super) fn due_ns(&self) -> u64 {
         self.batch.as_ref().map_or(u64::MAX, |batch| batch.since_ns + batch.tick * self.tick_ns)
     }
 
-    /// Takes commands as they come, and makes a tick when it is due.
-    pub(crate) fn poll(
+    /// Takes commands as they come, and computes a tick when it is due.
+    pub(super) fn poll(
         &mut self,
         slots: &mut [Slot],
         commands: &Inlet<Command>,
@@ -82,7 +83,7 @@ impl Clocked {
         let is_first = batch.tick == 0;
         let (command_age_limit_ns, stop_step_mps) = (self.command_age_limit_ns, self.stop_step_mps);
         let Some(batch) = &mut self.batch else { return Ok(any) };
-        // The world goes on while nobody looks; its odometry does not come late, it is missing.
+        // The vehicle moves on while the process is held up; the odometry of that time is not sent late, it is missing.
         for _ in 0..(missed + u64::from(!is_first)).min(MOST_MISSED) {
             batch.step(slots, now_ns, command_age_limit_ns, stop_step_mps);
         }
@@ -100,7 +101,7 @@ impl Clocked {
         Ok(true)
     }
 
-    /// Takes a command over, if it belongs here and is young enough.
+    /// Takes over a command, if it belongs to this batch and is recent enough.
     fn hold(
         &mut self,
         header: TickHeader,
@@ -119,7 +120,7 @@ impl Clocked {
         };
         let now_ns = now_ns();
         let sent_ns = header.supervisor_sent_ns;
-        // A stamp from the future would stay young for ever.
+        // A stamp from the future would count as recent for ever.
         if sent_ns > now_ns || now_ns - sent_ns > self.command_age_limit_ns {
             counters.late += 1;
             return;
@@ -156,7 +157,7 @@ impl Batch {
 }
 
 impl Slot {
-    /// As [`Slot::observe`], of a vehicle that goes on behind the end of its drive.
+    /// As [`Slot::observe`], for a vehicle that goes on after the end of its drive.
     fn observe_clocked(&mut self) -> Odometry {
         self.observe();
         self.last.status |= if self.ended { Odometry::ENDED } else { 0 }

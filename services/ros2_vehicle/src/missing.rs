@@ -1,13 +1,14 @@
-//! What to say when something is missing on the ROS side. DDS itself says nothing: who does not fit is not heard.
+//! What to say when something is missing on the ROS side. DDS itself says nothing: peers whose settings do not match
+//! are not connected.
 
 use config::Ros2Reliability;
 
-/// Somebody at the other end of a topic.
+/// A peer at the other end of a topic.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Peer {
-    /// The type that it names, as DDS has it.
+    /// The name of its type, as written in DDS.
     pub type_name: String,
-    /// What it offers or asks for.
+    /// The reliability that it offers or asks for.
     pub reliability: Ros2Reliability,
 }
 
@@ -18,11 +19,11 @@ pub struct Ours<'a> {
     pub topic: &'a str,
     /// Package and name of its type.
     pub of_type: (&'static str, &'static str),
-    /// What we ask for or offer.
+    /// The reliability that we ask for or offer.
     pub reliability: Ros2Reliability,
 }
 
-/// The type's name as DDS has it.
+/// The type's name, as written in DDS.
 pub fn dds_type((package, name): (&str, &str)) -> String {
     format!("{package}::msg::dds_::{name}_")
 }
@@ -34,7 +35,7 @@ fn name(reliability: Ros2Reliability) -> &'static str {
     }
 }
 
-/// Each of the peers in a word or two, and why it does not fit, if it does not.
+/// Each of the peers in a word or two, and why it does not match, if so.
 fn describe(ours: Ours, peers: &[Peer], fits: impl Fn(&Peer) -> bool, verb: &str) -> String {
     let mut text = peers.len().to_string();
     let mut why = String::new();
@@ -51,23 +52,26 @@ fn describe(ours: Ours, peers: &[Peer], fits: impl Fn(&Peer) -> bool, verb: &str
     text + &why
 }
 
-/// What is said of odometry that does not come.
+/// The message about odometry that does not come.
 pub fn no_odometry(ours: Ours, publishers: &[Peer], domain_id: u16) -> String {
     let topic = ours.topic;
     if publishers.is_empty() {
         return format!(
-            "no odometry on {topic}; publishers seen: 0 in domain {domain_id}; is the car there, and \
-             vehicle.ros2.odometry_topic, .domain_id and .network right?"
+            "no odometry on {topic}; publishers seen: 0 in domain {domain_id}; check that the car is running, and \
+             vehicle.ros2.odometry_topic, .domain_id and .network"
         );
     }
     let fits = |peer: &Peer| {
         ours.reliability == Ros2Reliability::BestEffort
             || peer.reliability == Ros2Reliability::Reliable
     };
-    format!("no odometry on {topic}; publishers seen: {}", describe(ours, publishers, fits, "asks"))
+    format!(
+        "no odometry on {topic}; publishers seen: {}",
+        describe(ours, publishers, fits, "asks for")
+    )
 }
 
-/// What is said of commands that nobody hears; nothing if somebody does.
+/// The message about commands that nobody receives; `None` if they are received.
 pub fn nobody_hears(ours: Ours, subscribers: &[Peer]) -> Option<String> {
     let fits = |peer: &Peer| {
         ours.reliability == Ros2Reliability::Reliable
@@ -78,13 +82,13 @@ pub fn nobody_hears(ours: Ours, subscribers: &[Peer]) -> Option<String> {
         return None;
     }
     let what = describe(ours, subscribers, fits, "offers");
-    Some(format!("nobody hears {}; subscribers seen: {what}", ours.topic))
+    Some(format!("nobody receives {}; subscribers seen: {what}", ours.topic))
 }
 
-/// What is said when somebody else drives the car.
+/// The message if another program drives the car.
 pub fn driven_by_others(topic: &str, others: usize) -> String {
     let who = if others == 1 { "somebody else publishes" } else { "others publish" };
-    format!("{who} on {topic} already; stop that first: a car obeys one driver")
+    format!("{who} on {topic} already; stop that first: a car obeys only one driver")
 }
 
 #[cfg(test)]
@@ -104,7 +108,7 @@ mod tests {
         let told = no_odometry(ours(Reliable), &[peer(BestEffort)], 0);
         assert_eq!(
             told,
-            "no odometry on /odom; publishers seen: 1, best effort; ours asks reliable"
+            "no odometry on /odom; publishers seen: 1, best effort; ours asks for reliable"
         );
         let told = no_odometry(ours(BestEffort), &[peer(BestEffort), peer(Reliable)], 0);
         assert_eq!(told, "no odometry on /odom; publishers seen: 2, best effort, reliable");
@@ -126,9 +130,9 @@ mod tests {
         let told = nobody_hears(ours(BestEffort), &[peer(Reliable)]).unwrap();
         assert_eq!(
             told,
-            "nobody hears /drive; subscribers seen: 1, reliable; ours offers best effort"
+            "nobody receives /drive; subscribers seen: 1, reliable; ours offers best effort"
         );
         let told = nobody_hears(ours(Reliable), &[]).unwrap();
-        assert_eq!(told, "nobody hears /drive; subscribers seen: 0");
+        assert_eq!(told, "nobody receives /drive; subscribers seen: 0");
     }
 }

@@ -1,0 +1,104 @@
+//! From the command line to an exit code: which command does what.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+
+use crate::bench::bench;
+use crate::cli::{Cli, Command, MonitorArgs, RecordArgs, ReplayArgs};
+use crate::commands;
+use crate::conformance::conformance;
+use crate::pipeline::services::Services;
+use crate::runs::EndedRun;
+use crate::runs::folder::refuse_earlier_run;
+use crate::runs::result::name_files;
+use crate::words::{Failure, print_failure, print_line, print_usage_error};
+
+/// What the binary hands in: the parts that link services, which this library does not.
+#[derive(Debug, Clone, Copy)]
+pub struct House {
+    /// Our own services.
+    pub services: Services,
+    /// Tools that are used alongside a pipeline.
+    pub tools: Tools,
+}
+
+/// Commands that observe a run from outside, or read what it has left.
+#[derive(Debug, Clone, Copy)]
+pub struct Tools {
+    /// Draws the report of the run in a folder; returns the path of its page.
+    pub report: fn(&Path) -> Result<PathBuf, String>,
+    /// Watches a living run.
+    pub monitor: fn(MonitorArgs) -> Result<(), Failure>,
+    /// Records a living run.
+    pub record: fn(&RecordArgs) -> Result<(), Failure>,
+    /// Replays a recording; returns whether nothing differed.
+    pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
+}
+
+/// Does what the command line says.
+pub fn run(house: House) -> ExitCode {
+    match Cli::try_parse() {
+        Ok(cli) => match execute(cli.command, house) {
+            Ok(true) => ExitCode::SUCCESS,
+            Ok(false) => ExitCode::from(1),
+            Err(failure) => {
+                print_failure(&failure);
+                ExitCode::from(failure.code())
+            }
+        },
+        Err(error) => match error.kind() {
+            ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
+                let _ = error.print();
+                ExitCode::SUCCESS
+            }
+            ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
+                let _ = error.print();
+                ExitCode::from(64)
+            }
+            _ => {
+                print_usage_error(&error);
+                ExitCode::from(64)
+            }
+        },
+    }
+}
+
+/// Returns whether all is well. A finding is not a failure: what is wrong has been printed already.
+fn execute(command: Command, house: House) -> Result<bool, Failure> {
+    let House { services, tools } = house;
+    let draw = |ended: EndedRun| name_files(&ended, (tools.report)(&ended.folder));
+    match command {
+        Command::Train(args) => commands::train(&args, services).and_then(draw),
+        Command::Validate(args) => commands::validate(&args, services).and_then(draw),
+        Command::Drive(args) => commands::drive(&args, services).and_then(draw),
+        Command::Rearm { run, vehicle } => commands::rearm(run.as_deref(), vehicle),
+        Command::Grid(args) => commands::grid(&args, services).and_then(draw),
+        Command::Report { run } => report(&run, tools),
+        Command::Record(args) => (tools.record)(&args),
+        Command::Replay(args) => return (tools.replay)(&args, services),
+        Command::Bench(args) => bench(&args),
+        Command::Monitor(args) => (tools.monitor)(args),
+        Command::Status { json } => commands::status(json),
+        Command::Stop { run } => commands::stop(run.as_deref()),
+        Command::Logs { run, process, lines } => {
+            commands::logs(run.as_deref(), process.as_deref(), lines)
+        }
+        Command::Clean { dry_run } => commands::clean(dry_run),
+        Command::Doctor { json } => commands::doctor(json),
+        Command::Config(command) => commands::show_config(&command),
+        Command::Conformance(args) => return conformance(&args),
+        Command::Schema(args) => commands::print_schema(&args),
+        Command::Gains(command) => commands::gains(&command),
+        Command::Service { name, words } => services.run(&name, &words),
+    }
+    .map(|()| true)
+}
+
+fn report(run: &Path, tools: Tools) -> Result<(), Failure> {
+    refuse_earlier_run(run)?;
+    let page = (tools.report)(run).map_err(Failure::User)?;
+    print_line(&page.display().to_string())
+}

@@ -1,0 +1,101 @@
+//! Tools that are used alongside a pipeline: monitor, recorder, replay, report.
+
+use monitor::MonitorError;
+use orchestrator::cli::{MonitorArgs, RecordArgs, ReplayArgs};
+use orchestrator::runs::{LivingRun, living_run};
+use orchestrator::words::{Failure, print_line};
+use orchestrator::{Services, Tools, commands};
+use replayer::reviewer::Outcome;
+
+pub(crate) const TOOLS: Tools = Tools {
+    report: |folder| report::write_report(folder).map_err(|why| why.to_string()),
+    monitor: look,
+    record,
+    replay,
+};
+
+/// Watches a living run.
+fn look(args: MonitorArgs) -> Result<(), Failure> {
+    let MonitorArgs { run, vehicle, json, csv, duration, once, budget, prometheus } = args;
+    let LivingRun { names, folder } = living_run(run.as_deref())?;
+    let options =
+        monitor::Options { names, folder, vehicle, json, csv, duration, once, budget, prometheus };
+    monitor::run(&options).map_err(|error| match error {
+        MonitorError::User(why) => Failure::User(why),
+        MonitorError::Other(error) => Failure::Other(error),
+    })
+}
+
+/// Records a living run from another terminal.
+fn record(args: &RecordArgs) -> Result<(), Failure> {
+    let run = living_run(args.run.as_deref())?;
+    if let Some(out) = args.out.as_deref().filter(|out| out.exists()) {
+        return Err(Failure::User(format!("--out {}: exists already", out.display())));
+    }
+    let options = recorder::attached::Options {
+        names: run.names,
+        folder: run.folder,
+        out: args.out.clone(),
+        time: args.time,
+        split_bytes: args.record_split,
+    };
+    let summary =
+        recorder::attached::record(&options).map_err(|why| Failure::User(format!("{why:#}")))?;
+    // A loss is not a failure, because an observer must not stop a vehicle; but it is always reported.
+    if let Some(gaps) = summary.gaps() {
+        eprintln!("pathtune: the recording has gaps: {gaps}");
+    }
+    if !summary.behind.is_zero() {
+        eprintln!(
+            "pathtune: the recorder could not keep up for {:.1} s",
+            summary.behind.as_secs_f64()
+        );
+    }
+    print_line(&summary.file.display().to_string())
+}
+
+/// Replays a recording; returns whether nothing differed.
+fn replay(args: &ReplayArgs, services: Services) -> Result<bool, Failure> {
+    let user = |why: String| Failure::User(why);
+    let recorded = replayer::check(&args.file).map_err(|why| user(format!("{why:#}")))?;
+    let config = commands::replay_config(args, &recorded)?;
+    let tick_s = config.drive.tick_s;
+    let by_zone = match &args.gains {
+        None => Vec::new(),
+        Some(text) => {
+            let sets = config
+                .law
+                .parse_sets(text)
+                .map_err(|why| user(format!("--gains {text}: {why}")))?;
+            let due = config.maneuvers_due().len();
+            if sets.len() != 1 && sets.len() != due {
+                let (held, due) = (sets.len(), due);
+                return Err(user(format!("--gains {text}: holds {held} sets; give 1, or {due}")));
+            }
+            config.sets_by_zone(&sets).iter().map(|set| config.law.named(set)).collect()
+        }
+    };
+    let tick_of = |time: std::time::Duration| (time.as_secs_f64() / tick_s).round() as u64;
+    let order = replayer::Order {
+        file: std::fs::canonicalize(&args.file)?,
+        by_zone,
+        from_tick: tick_of(args.from),
+        // A TOML file holds integers of at most 63 bits.
+        to_tick: args.to.map_or(i64::MAX as u64, tick_of),
+        speed: if args.realtime { Some(1.0) } else { args.speed },
+    };
+    let text = toml::to_string(&order).map_err(anyhow::Error::from)?;
+    let outcome = commands::replay(config, services, replayer::Order::FILE, &text)?;
+    let outcome: Outcome = serde_json::from_value(outcome).map_err(anyhow::Error::from)?;
+    let Outcome { compared, batches, difference } = outcome;
+    let Some(it) = difference else {
+        let drives = if batches == 1 { "batch" } else { "batches" };
+        let line = format!("no difference: {compared} ticks of {batches} {drives} compared");
+        return print_line(&line).map(|()| true);
+    };
+    print_line(&format!(
+        "first difference: batch {}, tick {}, slot {}, {}.{}: recorded {}, replayed {}",
+        it.batch, it.tick, it.slot, it.topic, it.field, it.recorded, it.replayed
+    ))
+    .map(|()| false)
+}

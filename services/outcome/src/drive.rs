@@ -1,0 +1,46 @@
+//! The result of a single drive.
+
+use config::NamedParameters;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{Measures, ParameterTable, Switch};
+
+/// The result of a single drive.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SingleDrive {
+    /// SHA-256 over the drive's report; in real time, every drive has a different one.
+    pub digest: String,
+    /// The set of each manoeuvre, or one for all.
+    #[schemars(with = "Vec<ParameterTable>")]
+    pub gains: Vec<NamedParameters>,
+    /// Why it ended: `time`, `goal` or `collision`.
+    pub reason: String,
+    /// Seconds that were driven, without stops.
+    pub driven_s: f64,
+    /// Share of the path, 0 to 1, that had been covered when it ended.
+    pub progress: f64,
+    /// Its measures.
+    #[serde(flatten)]
+    pub measures: Measures,
+    /// Along-track share of the mse.
+    pub along_m2: f64,
+    /// Cross-track share of the mse.
+    pub cross_m2: f64,
+    /// Mean absolute cross-track error against the current reference.
+    pub mean_abs_cross_track_m: f64,
+    /// Its largest value.
+    pub max_cross_track_m: f64,
+    /// Mean absolute rate of the commanded steering angle.
+    pub steering_travel_radps: f64,
+    /// Largest absolute lateral acceleration: speed times yaw rate.
+    pub lateral_acceleration_max_mps2: f64,
+    /// Whether the poses are true ones, which only a simulator knows; otherwise they are measured ones.
+    pub true_poses: bool,
+    /// Whether the controller was restarted during the drive: then the measures cover the time since.
+    pub joined: bool,
+    /// Where the parameters changed.
+    pub switches: Vec<Switch>,
+    /// The name of its recording in the run's folder `drives`.
+    pub drives_recorded: Vec<String>,
+}

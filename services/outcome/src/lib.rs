@@ -1,0 +1,143 @@
+//! What `result.json` holds: one type for the trainer that writes it, and for the orchestrator and the report that read it.
+//!
+//! A result has two parts. [`Decided`] is the part that is determined by configuration and seed: the same bytes for the
+//! same digest. It is also written as `outcome.json`, so that it can be compared and cached. [`Run`] is the part that
+//! differs from run to run.
+//!
+//! `pathtune schema --result` prints the doc comments of the fields.
+
+mod drive;
+mod file;
+mod grid;
+mod run;
+mod training;
+mod validation;
+
+use config::NamedParameters;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use drive::SingleDrive;
+pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
+pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
+pub use run::{Drives, ProcessFacts, Run, RunDrives};
+pub use training::{
+    Beside, Comparison, Finalist, GridStanding, LearnerSummary, NoiseChoice, SetStanding,
+    TrainResult, Usage, Verdict,
+};
+pub use validation::{NoiseFree, Noisy, Switch, ValidateResult, ValidatedRow};
+
+/// The version of `result.json`.
+pub const SCHEMA: u32 = 2;
+
+/// The result of a run: `result.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RunResult {
+    /// The part that is determined by configuration and seed.
+    #[serde(flatten)]
+    pub decided: Decided,
+    /// The drives; with `run.memo` off, each one that is asked for is driven.
+    pub drives: Drives,
+    /// The part that differs from run to run.
+    pub run: Run,
+    /// The processes of the run, as in `run.processes`.
+    pub processes: Vec<ProcessFacts>,
+    /// Seconds of driving per second of the run, as in `run.real_time_factor`.
+    pub real_time_factor: f64,
+}
+
+/// The part that is determined by configuration and seed: `outcome.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Decided {
+    /// Version of this schema.
+    pub schema: u32,
+    /// The manoeuvre that was driven; `path` for a path of the user's own.
+    pub maneuver: String,
+    /// Name of the vehicle that the configuration describes.
+    pub vehicle: String,
+    /// The control law.
+    pub law: String,
+    /// The objective by which drives were judged.
+    pub objective: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// The result of the run; the key `kind` says of which kind it is.
+    #[serde(flatten)]
+    pub outcome: Outcome,
+}
+
+/// The result of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Outcome {
+    /// A training.
+    Train(Box<TrainResult>),
+    /// A validation.
+    Validate(ValidateResult),
+    /// A sweep of the grid.
+    Grid(GridResult),
+    /// A single drive.
+    Drive(SingleDrive),
+}
+
+impl Outcome {
+    /// The digest of the drives on which it is based.
+    pub fn digest(&self) -> &str {
+        match self {
+            Self::Train(it) => &it.digest,
+            Self::Validate(it) => &it.digest,
+            Self::Grid(it) => &it.digest,
+            Self::Drive(it) => &it.digest,
+        }
+    }
+
+    /// The value of the key `kind`.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Train(_) => "train",
+            Self::Validate(_) => "validate",
+            Self::Grid(_) => "grid",
+            Self::Drive(_) => "drive",
+        }
+    }
+}
+
+/// The measures of one drive, noise-free unless the context says otherwise.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Measures {
+    /// Value of the objective; the smaller the better.
+    pub value: f64,
+    /// Distance of the mean cross-track and heading error to 0 (the paper's equation 4).
+    pub distance: f64,
+    /// Mean of half the squared tracking error, m² (the paper's equation 6).
+    pub mse_m2: f64,
+    /// Mean distance of the true pose, or of the measured one if the true pose is unknown, from the nearest point of
+    /// the path.
+    pub path_mean_m: f64,
+    /// Its 95th percentile.
+    pub path_p95_m: f64,
+    /// Its largest value.
+    pub path_max_m: f64,
+    /// Whether the drive ended at the end of the path.
+    pub arrived: bool,
+}
+
+/// The schema of named parameters: a table of numbers.
+pub(crate) type ParameterTable = std::collections::BTreeMap<String, f64>;
+
+/// Named parameters that were read, checked against a law.
+///
+/// # Errors
+/// If they are not that law's parameters.
+pub fn parameters_of(
+    law: &config::LawConfig,
+    named: &NamedParameters,
+) -> Result<config::Parameters, String> {
+    law.parameters_of(named).map_err(|(key, problem)| format!("{key}: {problem}"))
+}
+
+/// The JSON Schema of `result.json`.
+pub fn schema() -> String {
+    let schema = schemars::schema_for!(RunResult);
+    serde_json::to_string_pretty(&schema).expect("a schema is plain data")
+}

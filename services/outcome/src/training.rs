@@ -1,0 +1,190 @@
+//! The result of a training.
+
+use std::collections::BTreeMap;
+
+use config::NamedParameters;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{Measures, ParameterTable};
+
+/// The result of a training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct TrainResult {
+    /// The tuner.
+    pub tuner: String,
+    /// SHA-256 over what each learner received and became.
+    pub digest: String,
+    /// The tuned parameters, by their names in the law.
+    #[schemars(with = "ParameterTable")]
+    pub gains: NamedParameters,
+    /// Names of the parameters that lie on a bound of the grid.
+    pub on_bound: Vec<String>,
+    /// The measures of a drive with them, without noise.
+    #[serde(flatten)]
+    pub measures: Measures,
+    /// Their standing among all sets of the grid; null if the grid takes too many ticks to be driven.
+    pub grid: Option<GridStanding>,
+    /// The set that the paper chose for this manoeuvre; null for another law or path.
+    pub paper: Option<SetStanding>,
+    /// The same training by plain Q-learning, on drives of the grid; null if the grid was not driven.
+    pub plain_q: Option<Beside>,
+    /// The same training by a random walk, on drives of the grid; null if the grid was not driven.
+    pub random_walk: Option<Beside>,
+    /// How the set was chosen under noise; null without noise.
+    pub noise: Option<NoiseChoice>,
+    /// Drives that the learners asked for.
+    pub asked: u64,
+    /// Different drives among them: those that a memory does not answer.
+    pub distinct: u64,
+    /// A summary of how each learner learnt; `episodes.csv` and `drives.csv` hold the details.
+    pub learners: Vec<LearnerSummary>,
+    /// Drives with the tuned parameters whose recordings are in the run's folder `drives`.
+    pub drives_recorded: Vec<String>,
+}
+
+/// The standing of the tuned set among all sets of the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct GridStanding {
+    /// Number of sets.
+    pub size: usize,
+    /// 1 + the number of sets with a smaller value of the objective.
+    pub rank_value: usize,
+    /// 1 + the number of sets with a smaller distance.
+    pub rank_distance: usize,
+    /// 1 + the number of sets with a smaller mse.
+    pub rank_mse: usize,
+    /// 1 + the number of sets with a smaller mean distance from the path.
+    pub rank_path: usize,
+    /// Rank by the mean of the objective over noise seeds that were not used before; null without noise.
+    pub rank_mean: Option<usize>,
+    /// Least value of the objective.
+    pub best_value: f64,
+    /// Least distance.
+    pub best_distance: f64,
+    /// Least mse.
+    pub best_mse_m2: f64,
+    /// Least mean distance from the path.
+    pub best_path_mean_m: f64,
+}
+
+/// One set, driven without noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SetStanding {
+    /// The set.
+    #[schemars(with = "ParameterTable")]
+    pub gains: NamedParameters,
+    /// The measures of a drive with it.
+    #[serde(flatten)]
+    pub measures: Measures,
+    /// 1 + the number of sets of the grid with a smaller value of the objective.
+    pub rank_value: Option<usize>,
+    /// 1 + the number of sets of the grid with a smaller distance.
+    pub rank_distance: Option<usize>,
+    /// 1 + the number of sets of the grid with a smaller mse.
+    pub rank_mse: Option<usize>,
+    /// 1 + the number of sets of the grid with a smaller mean distance from the path.
+    pub rank_path: Option<usize>,
+}
+
+/// The same training by another tuner, on noise-free drives of the grid.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Beside {
+    /// The set that it recommends.
+    #[serde(flatten)]
+    pub set: SetStanding,
+    /// Drives that it asked for.
+    pub asked: u64,
+    /// Number of different sets among them: drives that memory does not answer.
+    pub distinct: u64,
+}
+
+/// How one learner learnt.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct LearnerSummary {
+    /// Its learning rate; null for tuners that have none.
+    pub alpha: Option<f64>,
+    /// The set that it picks.
+    #[schemars(with = "ParameterTable")]
+    pub gains: NamedParameters,
+    /// Parameters that it locked, with their values.
+    pub locked: BTreeMap<String, f64>,
+    /// How often each value of each parameter was driven; empty for tuners that do not use the grid.
+    pub usage: BTreeMap<String, Vec<Usage>>,
+    /// Drives that it received.
+    pub drives: u32,
+    /// Its episodes, or generations.
+    pub episodes: u32,
+    /// Episodes that reached a terminal state.
+    pub terminated: u32,
+    /// Least value of the objective that it saw.
+    pub best: Option<f64>,
+}
+
+/// How often a parameter had a value.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Usage {
+    /// The value.
+    pub value: f64,
+    /// Drives with it.
+    pub count: u64,
+}
+
+/// How the set was chosen under noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct NoiseChoice {
+    /// Drives of each finalist.
+    pub repeats: u64,
+    /// Noise seeds over which the chosen set is ranked.
+    pub holdout: u32,
+    /// The sets that were driven again, best mean first; the first one is chosen.
+    pub finalists: Vec<Finalist>,
+    /// The chosen set against the one that the tuner recommends by single drives.
+    pub against_recommended: Comparison,
+    /// The chosen set against the paper's.
+    pub against_paper: Option<Comparison>,
+}
+
+/// A set that was driven again under noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Finalist {
+    /// The set.
+    #[schemars(with = "ParameterTable")]
+    pub gains: NamedParameters,
+    /// Mean of the objective over its drives.
+    pub mean_value: f64,
+    /// Lower end of the mean's 95 % bootstrap interval.
+    pub low: f64,
+    /// Its upper end.
+    pub high: f64,
+    /// Drives of the training with this set.
+    pub visits: u32,
+}
+
+/// The chosen set against another one, by drives with the same noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Comparison {
+    /// The other set.
+    #[schemars(with = "ParameterTable")]
+    pub gains: NamedParameters,
+    /// Mean difference of the objective: below 0 if the chosen set is better.
+    pub difference: f64,
+    /// Lower end of its 95 % bootstrap interval.
+    pub low: f64,
+    /// Its upper end.
+    pub high: f64,
+    /// `better` or `worse` if the interval excludes 0, otherwise `undecided`.
+    pub verdict: Verdict,
+}
+
+/// What a paired difference says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The interval of the difference lies below 0.
+    Better,
+    /// It lies above 0.
+    Worse,
+    /// It contains 0.
+    Undecided,
+}

@@ -1,0 +1,200 @@
+//! Tuners: what proposes parameters and learns from the drives made with them.
+//!
+//! A tuner is a file of this folder with its row in the table below, and a file of `config/tuners` that says what it is
+//! and holds its settings. Memory, journal, finalists and ranking are outside the tuners, and serve all of them.
+
+mod educated_q;
+mod q;
+mod random_walk;
+
+use std::cmp::Ordering;
+use std::fmt::Debug;
+
+use config::{Parameters, RunConfig};
+use outcome::LearnerSummary;
+use sha2::Sha256;
+use tracking::DriveRecord;
+
+use crate::rng::drive_seed;
+
+/// A drive that a tuner waits for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ask {
+    /// The learner that asks: an independent learner, or a member of a population.
+    pub learner: u32,
+    /// Its step, counted from 0; for a population, the generation.
+    pub step: u32,
+    /// The parameters of the law.
+    pub parameters: Parameters,
+    /// Seed of the noise.
+    pub seed: u64,
+}
+
+impl Ask {
+    /// A drive with a seed of its own, derived from the run's.
+    pub fn new(config: &RunConfig, learner: u32, step: u32, parameters: Parameters) -> Self {
+        let seed = drive_seed(config.run.seed, learner, step);
+        Self { learner, step, parameters, seed }
+    }
+}
+
+/// What a tuner learnt from a drive, for the run's files.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Told {
+    /// The reward of the step; `None` if the tuner has no rewards.
+    pub reward: Option<f64>,
+    /// The episode that ended with it, if one did.
+    pub episode: Option<EpisodeRecord>,
+}
+
+/// An episode that is over: a row of `episodes.csv`.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct EpisodeRecord {
+    /// Its number, counted from 0.
+    pub number: u32,
+    /// Its steps.
+    pub steps: u32,
+    /// Sum of the rewards of its steps.
+    pub reward_sum: f64,
+    /// Value of the objective in its last step.
+    pub last_value: f64,
+    /// The set with which it reached a terminal state; `None` if the step limit truncated it.
+    pub terminal: Option<Parameters>,
+}
+
+/// The progress of one learner, for the progress line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LearnerState {
+    /// Share of its proposals that are made at random.
+    pub epsilon: f64,
+    /// Least value of the objective so far; infinite before the first drive.
+    pub best_value: f64,
+    /// Number of drives that it received.
+    pub drives: u32,
+    /// Number of episodes, or generations, that are over.
+    pub episodes: u32,
+    /// Number of all episodes.
+    pub of_episodes: u32,
+}
+
+/// What proposes parameters and learns from drives, as a state machine: the same configuration, seed and drives give the
+/// same proposals, in whatever order the learners are served. Reads no clock, and draws every random number from a
+/// stream of the run's seed.
+pub trait Tuner: Debug + Send + Sync {
+    /// Number of learners, numbered from 0: as many drives may be under way at once.
+    fn learners(&self) -> u32;
+
+    /// The drive that a learner waits for; `None` while it waits for other learners, and once it has finished. Stays
+    /// the same until [`Tuner::tell`].
+    fn wanted(&self, learner: u32) -> Option<Ask>;
+
+    /// Takes the drive of [`Tuner::wanted`], with its value by the objective (the smaller the better), and moves on.
+    fn tell(&mut self, ask: &Ask, drive: &DriveRecord, value: f64) -> Told;
+
+    /// Whether all learners have finished.
+    fn is_finished(&self) -> bool {
+        (0..self.learners()).all(|learner| self.wanted(learner).is_none())
+    }
+
+    /// The set that it recommends once it has finished. Ties go to the set that `order` puts first.
+    fn recommend(&self, order: &dyn Fn(&Parameters, &Parameters) -> Ordering) -> Parameters;
+
+    /// The progress of a learner.
+    fn state(&self, learner: u32) -> LearnerState;
+
+    /// A summary of how each learner learnt, of bounded size.
+    fn story(&self) -> Vec<LearnerSummary>;
+
+    /// Adds what learner number `learner` has become to the run's digest; what it received is in it already.
+    fn digest_into(&self, learner: u32, digest: &mut Sha256);
+}
+
+/// The table of tuners: the name of the file in `config/tuners`, and what makes one for a configuration.
+macro_rules! tuners {
+    ($($name:literal => $module:ident),+ $(,)?) => {
+        /// The tuner with this name, a row of the table.
+        ///
+        /// # Panics
+        /// If no tuner has that name; a resolved configuration names one.
+        pub fn tuner(name: &str, config: &RunConfig) -> Box<dyn Tuner> {
+            match name {
+                $($name => Box::new($module::new(config)),)+
+                other => panic!("the tuner {other} has a file in config/tuners but no row here"),
+            }
+        }
+
+        #[cfg(test)]
+        const NAMES: &[&str] = &[$($name),+];
+    };
+}
+
+tuners! {
+    "educated-q" => educated_q,
+    "q" => q,
+    "random-walk" => random_walk,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use config::Layers;
+
+    #[test]
+    fn table_and_files_name_the_same_tuners() {
+        let mut known: Vec<&str> = config::names_in("tuners").collect();
+        let mut rows = NAMES.to_vec();
+        known.sort_unstable();
+        rows.sort_unstable();
+        assert_eq!(known, rows);
+    }
+
+    fn config(tuner: &str) -> RunConfig {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        for set in ["learning.episodes=4", "learning.step_limit=9", "run.seed=7"] {
+            layers.set(set).unwrap();
+        }
+        layers.set(&format!("learning.tuner={tuner}")).unwrap();
+        layers.resolve().unwrap()
+    }
+
+    /// A made-up drive: good where the parameters are large.
+    fn drive(ask: &Ask) -> (DriveRecord, f64) {
+        let value = 1.0 / (1.0 + ask.parameters.0.iter().sum::<f64>());
+        (DriveRecord { mean_abs_cross_m: value, ..DriveRecord::default() }, value)
+    }
+
+    #[test]
+    fn every_tuner_runs_to_its_end_whoever_is_served_first() {
+        for name in NAMES {
+            let config = config(name);
+            let served = [true, false].map(|forwards| {
+                let mut tuner = tuner(name, &config);
+                // The messages have room for so many.
+                assert_eq!(tuner.learners() as usize, config.learners(), "{name}");
+                let mut steps = 0;
+                while !tuner.is_finished() {
+                    let mut learners: Vec<u32> = (0..tuner.learners()).collect();
+                    if !forwards {
+                        learners.reverse();
+                    }
+                    for learner in learners {
+                        let Some(ask) = tuner.wanted(learner) else { continue };
+                        assert_eq!(ask.learner, learner);
+                        config.law.check(&ask.parameters).unwrap();
+                        let (record, value) = drive(&ask);
+                        tuner.tell(&ask, &record, value);
+                        steps += 1;
+                        assert!(steps < 100_000, "{name} goes on for ever");
+                    }
+                }
+                let order = |a: &Parameters, b: &Parameters| a.0.partial_cmp(&b.0).unwrap();
+                let mut digest = <Sha256 as sha2::Digest>::new();
+                (0..tuner.learners()).for_each(|it| tuner.digest_into(it, &mut digest));
+                let digest = sha2::Digest::finalize(digest);
+                (tuner.recommend(&order), format!("{:?}", tuner.story()), digest.to_vec())
+            });
+            assert_eq!(served[0], served[1], "{name}");
+            assert!(config.law.check(&served[0].0).is_ok());
+        }
+    }
+}
