@@ -72,15 +72,16 @@ fn one_line(output: &Output) -> String {
 /// Asserts that one hop, and the whole way with it, reads about as long as the delay, and no other does.
 fn check_delay(sandbox: &Sandbox, delayed: &str) -> u64 {
     let report = lines(&sandbox.run(&["monitor", "--json", "--once", "--budget", "1ms"])).remove(0);
+    let delayed_ns = report["hops"][delayed]["p50_ns"].as_u64().unwrap();
     for hop in HOPS {
         let p50_ns = report["hops"][hop]["p50_ns"].as_u64().unwrap();
         let n = report["hops"][hop]["n"].as_u64().unwrap();
         assert!(n > 10, "{hop}: {report}");
         if hop == delayed || hop == "end_to_end" {
-            // A sleep ends late, never early; the upper bound leaves room for a busy machine.
-            assert!((2_000_000..3_500_000).contains(&p50_ns), "{hop}: {report}");
+            // A sleep ends late, never early; on a busy machine much too late.
+            assert!(p50_ns >= 2_000_000, "{hop}: {report}");
         } else {
-            assert!(p50_ns < 1_000_000, "{hop}: {report}");
+            assert!(p50_ns < delayed_ns / 2, "{hop}: {report}");
         }
     }
     let misses = report["deadline_misses"].as_u64().unwrap();
@@ -89,7 +90,7 @@ fn check_delay(sandbox: &Sandbox, delayed: &str) -> u64 {
     assert!(misses <= ticks + 1, "{report}");
     assert_eq!(report["missed"], 0, "{report}");
     assert_eq!(report["implausible"], 0, "{report}");
-    report["hops"][delayed]["p50_ns"].as_u64().unwrap()
+    delayed_ns
 }
 
 #[test]
