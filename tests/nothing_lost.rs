@@ -14,7 +14,7 @@ use support::{Sandbox, signal};
 const SHORT: [&str; 4] = ["lane_change", "--episodes", "5", "--no-memo"];
 
 #[test]
-fn a_process_that_computes_for_ever_or_is_stopped_is_noticed_and_replaced() {
+fn a_process_that_is_stopped_is_noticed_and_replaced() {
     let sandbox = Sandbox::new();
     let mut training = sandbox.start_training("out", &SHORT);
     training.wait_until_it_drives();

@@ -84,7 +84,7 @@ fn a_slalom_and_a_closed_circle_train_and_validate() {
     sandbox.assert_clean();
 }
 
-/// The best of the grid once was a set that stood still before the end of the path and never arrived.
+/// Case `best_of_the_grid_never_arrives`: the best of the grid once was a set that stood still before the end of the path and never arrived.
 #[test]
 fn what_never_arrives_ranks_behind_all_that_arrive() {
     let sandbox = Sandbox::new();
