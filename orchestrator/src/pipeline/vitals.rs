@@ -89,6 +89,8 @@ impl Vitals {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rustix::process::{Pid, Signal};
+    use std::os::unix::process::CommandExt;
     use std::process::{Child, Command, Stdio};
     use std::time::{Duration, Instant};
 
@@ -132,7 +134,8 @@ mod tests {
     }
 
     fn start(command: &str) -> Child {
-        Command::new("sh").args(["-c", command]).stdin(Stdio::null()).spawn().unwrap()
+        let mut shell = Command::new("sh");
+        shell.args(["-c", command]).process_group(0).stdin(Stdio::null()).spawn().unwrap()
     }
 
     #[test]
@@ -150,7 +153,8 @@ mod tests {
         sleeper.kill().unwrap();
         sleeper.wait().unwrap();
         assert_eq!(Vitals::of_main_thread(sleeper.id()), None);
-        let _ = Command::new("pkill").args(["-KILL", "-P", &busy.id().to_string()]).status();
+        // The child that computes is in its group, too.
+        rustix::process::kill_process_group(Pid::from_child(&busy), Signal::KILL).unwrap();
         let _ = busy.wait();
     }
 }
