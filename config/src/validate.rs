@@ -279,7 +279,13 @@ fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     above("vehicle.body_half_width_m", v.body_half_width_m, 0.0, 20.0)?;
     above("vehicle.steering_limit_rad", v.steering_limit_rad, 0.0, 1.5)?;
     above("vehicle.steering_rate_radps", v.steering_rate_radps, 0.0, 100.0)?;
+    within("vehicle.steering_delay_s", v.steering_delay_s, 0.0, 1.0)?;
+    within("vehicle.steering_gain", v.steering_gain, 0.1, 10.0)?;
+    within("vehicle.steering_offset_rad", v.steering_offset_rad, -0.5, 0.5)?;
+    within("vehicle.steering_dead_band_rad", v.steering_dead_band_rad, 0.0, 0.5)?;
+    within("vehicle.steering_lag_s", v.steering_lag_s, 0.0, 10.0)?;
     above("vehicle.speed_limit_mps", v.speed_limit_mps, 0.0, 100.0)?;
+    within("vehicle.speed_delay_s", v.speed_delay_s, 0.0, 1.0)?;
     within("vehicle.speed_kp", v.speed_kp, 0.0, 100.0)?;
     within("vehicle.speed_ki", v.speed_ki, 0.0, 100.0)?;
     within("vehicle.speed_integral_min", v.speed_integral_min, -10.0, 10.0)?;

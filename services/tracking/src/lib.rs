@@ -5,7 +5,8 @@
 //! - a *pose* is a position and a yaw in the map frame;
 //! - a *path* is a chain of straight and circular segments, addressed by the distance along it;
 //! - the *reference* is the pose that the vehicle should have at a tick;
-//! - the *tracking error* is the reference's pose in the vehicle frame (the paper's equation 1, rotated).
+//! - the *tracking error* is the reference's pose in the vehicle frame (the paper's equation 1, rotated);
+//! - the *steering chain* is what a steering command goes through until it is an angle of the road wheels.
 
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
@@ -14,12 +15,14 @@ mod objectives;
 mod path;
 mod record;
 mod reference;
+mod steering;
 mod zones;
 
 pub use objectives::Objective;
 pub use path::{Path, PathFollower, PathPoint};
 pub use record::{DriveRecord, DriveRecorder, EndReason, TickMeasures, state_distance};
 pub use reference::Reference;
+pub use steering::{DelayLine, Part, SteeringActuator, SteeringChain, parts_of_tick};
 pub use zones::ZoneTracker;
 
 use nalgebra::{Rotation2, Vector2};
