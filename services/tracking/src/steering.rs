@@ -188,3 +188,169 @@ impl<T: Copy> DelayLine<T> {
         self.ring[if index < self.ring.len() { index } else { index - self.ring.len() }]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const TICK_S: f64 = 0.01;
+
+    /// The paper's vehicle, whose chain is nothing but its rate.
+    fn plain() -> Vehicle {
+        config::Layers::maneuver("lane_change").unwrap().resolve().unwrap().vehicle
+    }
+
+    fn commands() -> impl Strategy<Value = Vec<f64>> {
+        // Held for a while, as commands are, so that the wheels get somewhere.
+        prop::collection::vec((-0.7..0.7f64, 1usize..40), 1..30).prop_map(|held| {
+            held.into_iter().flat_map(|(command, ticks)| vec![command; ticks]).collect()
+        })
+    }
+
+    /// Vehicles with every part of the chain, each often absent.
+    fn vehicles() -> impl Strategy<Value = Vehicle> {
+        let or = |absent: f64, range: std::ops::Range<f64>| prop_oneof![Just(absent), range];
+        (or(0.0, 0.0..0.3), or(1.0, 0.5..1.5), or(0.0, -0.1..0.1), or(0.0, 0.0..0.05), 0.2..3.0f64)
+            .prop_map(|(lag_s, gain, offset_rad, dead_band_rad, rate_radps)| Vehicle {
+                steering_lag_s: lag_s,
+                steering_gain: gain,
+                steering_offset_rad: offset_rad,
+                steering_dead_band_rad: dead_band_rad,
+                steering_rate_radps: rate_radps,
+                ..plain()
+            })
+    }
+
+    fn angles(vehicle: &Vehicle, tick_s: f64, commands: impl IntoIterator<Item = f64>) -> Vec<f64> {
+        let mut chain = SteeringChain::new(vehicle, tick_s);
+        commands.into_iter().map(|command| chain.step(command)).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn without_any_of_it_the_wheels_turn_at_their_rate(commands in commands()) {
+            let vehicle = plain();
+            let (limit, reach) = (vehicle.steering_limit_rad, vehicle.steering_rate_radps * TICK_S);
+            let mut angle = 0.0;
+            for (got, command) in angles(&vehicle, TICK_S, commands.clone()).into_iter().zip(commands) {
+                angle += (command.clamp(-limit, limit) - angle).clamp(-reach, reach);
+                prop_assert_eq!(got.to_bits(), f64::to_bits(angle));
+            }
+        }
+
+        #[test]
+        fn a_dead_time_of_whole_ticks_shifts_exactly(
+            vehicle in vehicles(), commands in commands(), ticks in 1usize..100,
+        ) {
+            let delayed = Vehicle { steering_delay_s: ticks as f64 * TICK_S, ..vehicle.clone() };
+            let rest = std::iter::repeat_n(0.0, ticks);
+            prop_assert_eq!(
+                angles(&delayed, TICK_S, commands.clone()),
+                angles(&vehicle, TICK_S, rest.chain(commands.clone()).take(commands.len()))
+            );
+        }
+
+        #[test]
+        fn a_dead_time_within_a_tick_is_as_exact_as_finer_ticks(
+            vehicle in vehicles(), commands in commands(), whole in 0usize..20, fifths in 1usize..5,
+        ) {
+            let delay_s = (whole as f64 + fifths as f64 / 5.0) * TICK_S;
+            let delayed = Vehicle { steering_delay_s: delay_s, ..vehicle };
+            let finer = commands.iter().flat_map(|command| [*command; 5]);
+            let finer = angles(&delayed, TICK_S / 5.0, finer);
+            for (coarse, fine) in angles(&delayed, TICK_S, commands).iter().zip(finer.iter().skip(4).step_by(5)) {
+                prop_assert!((coarse - fine).abs() < 1e-12, "{coarse} {fine}");
+            }
+        }
+
+        #[test]
+        fn a_command_that_is_held_acts_the_same_in_one_step_and_in_two(
+            vehicle in vehicles(), angle in -0.5..0.5f64, command in -0.7..0.7f64,
+            first_s in 0.0..0.2f64, then_s in 0.0..0.2f64,
+        ) {
+            let actuator = SteeringActuator::new(&vehicle);
+            let two = actuator.turn(actuator.turn(angle, command, first_s), command, then_s);
+            let one = actuator.turn(angle, command, first_s + then_s);
+            prop_assert!((one - two).abs() < 1e-12, "{one} {two}");
+        }
+
+        #[test]
+        fn the_wheels_keep_their_rate_and_come_to_the_target(
+            vehicle in vehicles(), commands in commands(), last in -0.7..0.7f64,
+        ) {
+            let mut chain = SteeringChain::new(&vehicle, TICK_S);
+            let mut before = chain.angle_rad();
+            for command in commands {
+                let angle = chain.step(command);
+                prop_assert!((angle - before).abs() <= vehicle.steering_rate_radps * TICK_S * (1.0 + 1e-9));
+                prop_assert!(angle.abs() <= vehicle.steering_limit_rad);
+                before = angle;
+            }
+            for _ in 0..2000 {
+                chain.step(last);
+            }
+            let (gain, offset) = (vehicle.steering_gain, vehicle.steering_offset_rad);
+            let limit = vehicle.steering_limit_rad;
+            let apart = chain.angle_rad() - (gain * last + offset).clamp(-limit, limit);
+            prop_assert!(apart.abs() <= vehicle.steering_dead_band_rad + 1e-9, "{apart}");
+            // Nothing of it is left.
+            chain.reset();
+            prop_assert_eq!(chain, SteeringChain::new(&vehicle, TICK_S));
+        }
+    }
+
+    #[test]
+    fn a_small_step_is_answered_exponentially_and_a_large_one_at_the_limit_first() {
+        let vehicle = Vehicle { steering_lag_s: 0.1, steering_rate_radps: 0.6, ..plain() };
+        // The lag alone is slower than 0.6 rad/s below an error of 0.06 rad.
+        for (tick, angle) in angles(&vehicle, TICK_S, [0.05; 100]).into_iter().enumerate() {
+            let time_s = TICK_S * (tick + 1) as f64;
+            assert!((angle - 0.05 * (1.0 - libm::exp(-time_s / 0.1))).abs() < 1e-12);
+        }
+        for (tick, angle) in angles(&vehicle, TICK_S, [0.36; 100]).into_iter().enumerate() {
+            let time_s = TICK_S * (tick + 1) as f64;
+            let wanted = match time_s {
+                ..0.5 => 0.6 * time_s,
+                _ => 0.36 - 0.06 * libm::exp(-(time_s - 0.5) / 0.1),
+            };
+            assert!((angle - wanted).abs() < 1e-9, "{time_s}: {angle} {wanted}");
+        }
+    }
+
+    #[test]
+    fn a_dead_band_is_a_play_that_has_to_be_taken_up_at_each_turn() {
+        let vehicle =
+            Vehicle { steering_dead_band_rad: 0.02, steering_rate_radps: 100.0, ..plain() };
+        let commands = [0.01, 0.02, 0.1, 0.07, 0.061, 0.05, 0.0, 0.03];
+        let wanted = [0.0, 0.0, 0.08, 0.08, 0.08, 0.07, 0.02, 0.02];
+        for (angle, wanted) in angles(&vehicle, TICK_S, commands).into_iter().zip(wanted) {
+            assert!((angle - wanted).abs() < 1e-12, "{angle} {wanted}");
+        }
+    }
+
+    #[test]
+    fn a_car_whose_wheels_are_not_aligned_stands_like_that() {
+        let vehicle = Vehicle { steering_offset_rad: 0.03, steering_gain: 0.8, ..plain() };
+        let mut chain = SteeringChain::new(&vehicle, TICK_S);
+        assert_eq!((chain.angle_rad(), chain.step(0.0)), (0.03, 0.03));
+    }
+
+    #[test]
+    fn ticks_are_cut_where_commands_arrive() {
+        let check = |dead_times_s, wanted: &[(f64, [usize; 2])]| {
+            let parts = parts_of_tick(dead_times_s, TICK_S);
+            assert_eq!(parts.len(), wanted.len(), "{parts:?}");
+            for (part, (length_s, ago)) in parts.iter().zip(wanted) {
+                assert!((part.length_s - length_s).abs() < 1e-12, "{parts:?}");
+                assert_eq!(part.ago, *ago, "{parts:?}");
+            }
+        };
+        check([0.0, 0.0], &[(0.01, [0, 0])]);
+        // 0.07 / 0.01 is a little more than 7, and 0.29 / 0.01 a little less than 29.
+        check([0.07, 0.29], &[(0.01, [7, 29])]);
+        check([0.004, 0.0], &[(0.004, [1, 0]), (0.006, [0, 0])]);
+        check([0.157, 0.022], &[(0.002, [16, 3]), (0.005, [16, 2]), (0.003, [15, 2])]);
+        assert_eq!(parts_of_tick([0.0], TICK_S)[0].length_s.to_bits(), TICK_S.to_bits());
+    }
+}
