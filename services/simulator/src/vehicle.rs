@@ -1,12 +1,16 @@
-//! The vehicle model: single track (its lateral half is `lateral`), speed PI to throttle and brake, lags, gear selector, steering rate.
+//! The vehicle model: single track (its lateral half is `lateral`), steering chain, speed PI to throttle and brake, pedal
+//! lag, gear selector, dead times of both commands.
 //!
 //! Pure: the seed is an argument, one call of [`SimulatedVehicle::step`] is one tick. The state lives at
 //! the rear axle; what is reported is the tracked point, `tracked_point_m` ahead of it.
+//!
+//! A tick is one step of integration, unless a dead time is no whole number of ticks. Then the tick is cut where a command
+//! arrives, and each part is a step of its own: a command acts as it was given, only later.
 
 use std::sync::Arc;
 
 use config::{Noise, RunConfig, Vehicle};
-use tracking::Pose;
+use tracking::{DelayLine, Part, Pose, SteeringActuator, parts_of_tick};
 
 use crate::lateral::Lateral;
 use crate::noise::PoseNoise;
@@ -38,6 +42,8 @@ pub struct SimulatedVehicle {
     noise: Option<Box<PoseNoise>>,
     gear: GearSelector,
     lateral: Lateral,
+    /// Without dead times, nothing is on the way; boxed, so that it takes no room in the cache then.
+    on_the_way: Option<Box<DelayLine<Commanded>>>,
 
     rear_axle: Pose,
     speed_mps: f64,
@@ -54,10 +60,42 @@ pub struct SimulatedVehicle {
 struct Kind {
     vehicle: Vehicle,
     noise: Noise,
-    tick_s: f64,
-    /// Share of a step that a pedal makes in one tick.
-    pedal_share: f64,
+    steering: SteeringActuator,
+    /// The parts of a tick; a single one if dead times are whole numbers of ticks.
+    steps: Vec<Step>,
     gear: GearTimes,
+}
+
+/// A command of a tick: forward speed, and steering angle of the road wheels.
+#[derive(Debug, Clone, Copy, Default)]
+struct Commanded {
+    speed_mps: f64,
+    steering_rad: f64,
+}
+
+/// One step of integration.
+#[derive(Debug)]
+struct Step {
+    part: Part<2>,
+    /// Share of its way that a pedal makes in the step.
+    pedal_share: f64,
+}
+
+impl Step {
+    /// The command that acts in this step.
+    #[inline]
+    fn arrived(
+        &self,
+        given: Commanded,
+        on_the_way: Option<&DelayLine<Commanded>>,
+    ) -> Commanded {
+        let Some(line) = on_the_way else { return given };
+        let [speed_ago, steering_ago] = self.part.ago;
+        Commanded {
+            speed_mps: line.given(speed_ago).speed_mps,
+            steering_rad: line.given(steering_ago).steering_rad,
+        }
+    }
 }
 
 impl SimulatedVehicle {
@@ -65,11 +103,16 @@ impl SimulatedVehicle {
     pub fn new(config: &RunConfig) -> Self {
         let vehicle = config.vehicle.clone();
         let tick_s = config.drive.tick_s;
+        let parts = parts_of_tick([vehicle.speed_delay_s, vehicle.steering_delay_s], tick_s);
+        let is_delayed = vehicle.speed_delay_s > 0.0 || vehicle.steering_delay_s > 0.0;
+        let pedal_share = |step_s: f64| 1.0 - libm::exp(-step_s / vehicle.pedal_lag_s);
         let mut new = Self {
             road: Road::new(config),
             noise: None,
             gear: GearSelector::new(&vehicle),
             lateral: Lateral::new(&vehicle),
+            on_the_way: is_delayed
+                .then(|| Box::new(DelayLine::new(&parts, Commanded::default()))),
             rear_axle: Pose::default(),
             speed_mps: 0.0,
             yaw_rate_radps: 0.0,
@@ -79,8 +122,11 @@ impl SimulatedVehicle {
             brake: 0.0,
             kind: Arc::new(Kind {
                 noise: config.noise,
-                tick_s,
-                pedal_share: 1.0 - libm::exp(-tick_s / vehicle.pedal_lag_s),
+                steering: SteeringActuator::new(&vehicle),
+                steps: parts
+                    .into_iter()
+                    .map(|part| Step { pedal_share: pedal_share(part.length_s), part })
+                    .collect(),
                 gear: GearTimes::new(&vehicle, tick_s),
                 vehicle,
             }),
@@ -91,15 +137,18 @@ impl SimulatedVehicle {
 
     /// Puts the tracked point at `start`, at rest, and restarts the noise from its seed, if there is any.
     pub fn reset(&mut self, start: Pose, noise_seed: Option<u64>) {
-        let Kind { vehicle, noise, .. } = &*self.kind;
+        let Kind { vehicle, noise, steering, .. } = &*self.kind;
         let back = start.ahead(-vehicle.tracked_point_m);
         self.rear_axle = Pose { x_m: back.x, y_m: back.y, yaw_rad: start.yaw_rad };
         self.noise = noise_seed.map(|seed| Box::new(PoseNoise::new(*noise, seed)));
         self.gear = GearSelector::new(vehicle);
         self.lateral.reset();
+        if let Some(on_the_way) = &mut self.on_the_way {
+            on_the_way.reset(Commanded::default());
+        }
         self.speed_mps = 0.0;
         self.yaw_rate_radps = 0.0;
-        self.steering_rad = 0.0;
+        self.steering_rad = steering.target_rad(0.0);
         self.integral = 0.0;
         self.throttle = 0.0;
         self.brake = 0.0;
@@ -128,37 +177,41 @@ impl SimulatedVehicle {
 
     /// Drives one tick with a command: forward speed, and steering angle of the road wheels.
     pub fn step(&mut self, speed_mps: f64, steering_rad: f64) {
-        let Kind { vehicle, tick_s, pedal_share, gear, .. } = &*self.kind;
-        let tick_s = *tick_s;
-        let speed_command = speed_mps.min(vehicle.speed_limit_mps);
-        self.gear.update(gear, speed_command, self.speed_mps);
-
-        let error = speed_command - self.speed_mps;
-        self.integral = (self.integral + vehicle.speed_ki * error * tick_s)
-            .clamp(vehicle.speed_integral_min, vehicle.speed_integral_max);
-        let mut pedals = (vehicle.speed_kp * error + self.integral).clamp(-1.0, 1.0);
-        if speed_command < 0.0 {
-            pedals = pedals.min(0.0);
+        let Kind { vehicle, steering, steps, gear, .. } = &*self.kind;
+        let given = Commanded { speed_mps: speed_mps.min(vehicle.speed_limit_mps), steering_rad };
+        if let Some(on_the_way) = &mut self.on_the_way {
+            on_the_way.push(given);
         }
-        self.throttle += pedal_share * (pedals.max(0.0) - self.throttle);
-        self.brake += pedal_share * ((-pedals).max(0.0) - self.brake);
+        let on_the_way = self.on_the_way.as_deref();
+        self.gear.update(gear, steps[0].arrived(given, on_the_way).speed_mps, self.speed_mps);
+        for step in steps {
+            let Commanded { speed_mps: speed_command, steering_rad: steering_command } =
+                step.arrived(given, on_the_way);
+            let step_s = step.part.length_s;
 
-        let mut accel_mps2 =
-            -vehicle.drag_per_s * self.speed_mps - vehicle.brake_decel_mps2 * self.brake;
-        if self.gear.engaged {
-            accel_mps2 += vehicle.throttle_accel_mps2 * self.throttle;
+            let error = speed_command - self.speed_mps;
+            self.integral = (self.integral + vehicle.speed_ki * error * step_s)
+                .clamp(vehicle.speed_integral_min, vehicle.speed_integral_max);
+            let mut pedals = (vehicle.speed_kp * error + self.integral).clamp(-1.0, 1.0);
+            if speed_command < 0.0 {
+                pedals = pedals.min(0.0);
+            }
+            self.throttle += step.pedal_share * (pedals.max(0.0) - self.throttle);
+            self.brake += step.pedal_share * ((-pedals).max(0.0) - self.brake);
+
+            let mut accel_mps2 =
+                -vehicle.drag_per_s * self.speed_mps - vehicle.brake_decel_mps2 * self.brake;
+            if self.gear.engaged {
+                accel_mps2 += vehicle.throttle_accel_mps2 * self.throttle;
+            }
+            // Rolling resistance and brake hold a standing car; they do not push it backwards.
+            self.speed_mps =
+                (self.speed_mps + (accel_mps2 - vehicle.rolling_decel_mps2) * step_s).max(0.0);
+
+            self.steering_rad = steering.turn(self.steering_rad, steering_command, step_s);
+            self.yaw_rate_radps =
+                self.lateral.step(&mut self.rear_axle, self.speed_mps, self.steering_rad, step_s);
         }
-        // Rolling resistance and brake hold a standing car; they do not push it backwards.
-        self.speed_mps =
-            (self.speed_mps + (accel_mps2 - vehicle.rolling_decel_mps2) * tick_s).max(0.0);
-
-        let limit_rad = vehicle.steering_limit_rad;
-        let reach_rad = vehicle.steering_rate_radps * tick_s;
-        let wanted_rad = steering_rad.clamp(-limit_rad, limit_rad);
-        self.steering_rad += (wanted_rad - self.steering_rad).clamp(-reach_rad, reach_rad);
-
-        self.yaw_rate_radps =
-            self.lateral.step(&mut self.rear_axle, self.speed_mps, self.steering_rad, tick_s);
     }
 }
 
