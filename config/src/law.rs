@@ -145,6 +145,10 @@ pub struct ParameterConfig {
     pub default: f64,
     /// Its values in the grid, unless the manoeuvre or the user gives others.
     pub grid: Axis,
+    /// Of a length alone: the wheelbase of the car that these numbers are made for, m. They are scaled when the vehicle
+    /// is chosen, and this names its wheelbase afterwards.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub for_wheelbase_m: Option<f64>,
 }
 
 /// How a tuner moves along a parameter.

@@ -4,12 +4,17 @@
 //! parameters and settings. Everything that a law may look at is in [`Sight`]; what a law does not ask for is not
 //! computed.
 
+mod held_steering;
+mod lqr;
 mod paper;
+mod pure_pursuit;
 mod stanley;
 
 use config::{Parameters, RunConfig};
 
 use crate::Sight;
+use crate::compensation::Compensation;
+use held_steering::HeldSteering;
 
 /// What a law wants: forward speed, yaw rate, steering angle.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -114,13 +119,19 @@ macro_rules! laws {
 }
 
 laws! {
+    "lqr" => Lqr(lqr::Lqr),
     "paper" => Paper(paper::Paper),
+    "pure_pursuit" => PurePursuit(pure_pursuit::PurePursuit),
     "stanley" => Stanley(stanley::Stanley),
 }
 
 /// The control law of a configuration, with its state.
 #[derive(Debug, Clone)]
-pub struct ControlLaw(Kind);
+pub struct ControlLaw {
+    law: Kind,
+    /// For a car whose steering is late or not aligned.
+    compensation: Option<Box<Compensation>>,
+}
 
 impl ControlLaw {
     /// The law of a configuration, at the start of a drive.
@@ -128,7 +139,7 @@ impl ControlLaw {
     /// # Panics
     /// If no law has that name; a resolved configuration names one.
     pub fn new(config: &RunConfig) -> Self {
-        Self(Kind::new(config))
+        Self { law: Kind::new(config), compensation: Compensation::new(config).map(Box::new) }
     }
 
     /// Returns to the start of a drive.
@@ -138,23 +149,37 @@ impl ControlLaw {
 
     /// Forgets everything except the steering angle that was commanded last.
     pub fn restart(&mut self, steering_rad: f64) {
-        self.0.restart(steering_rad);
+        let Some(compensation) = &mut self.compensation else {
+            return self.law.restart(steering_rad);
+        };
+        compensation.restart(steering_rad);
+        self.law.restart(compensation.wanted_rad(steering_rad));
     }
 
     /// What a successor needs to go on.
     pub fn state(&self) -> LawState {
-        self.0.state()
+        let law = self.law.state();
+        self.compensation.as_ref().map_or(law, |it| it.add_to(&law))
     }
 
     /// Goes on from another process's [`ControlLaw::state`].
     pub fn resume(&mut self, state: &LawState) {
-        self.0.resume(state);
+        let count = self.law.state().numbers().len();
+        if let Some(compensation) = &mut self.compensation {
+            compensation.resume(state, count);
+        }
+        self.law.resume(state);
     }
 
     /// One tick of the law.
     #[inline]
     pub fn command(&mut self, parameters: &Parameters, sight: &Sight) -> RawCommand {
-        self.0.command(parameters, sight)
+        let Some(compensation) = &mut self.compensation else {
+            return self.law.command(parameters, sight);
+        };
+        let mut reference = sight.reference().clone();
+        let ahead = compensation.look_ahead(sight, &mut reference);
+        compensation.give(self.law.command(parameters, &ahead))
     }
 }
 
@@ -164,10 +189,18 @@ mod tests {
     use config::Layers;
     use tracking::{Pose, Reference};
 
-    fn config(law: &str) -> RunConfig {
+    /// With a car whose steering is late, and a law that knows it, or without.
+    fn config(law: &str, late: bool) -> RunConfig {
         let mut layers = Layers::maneuver("lane_change").unwrap();
         layers.set_law("test", law).unwrap();
+        layers.set(&format!("controller.compensate_dead_time={late}")).unwrap();
+        layers.set("vehicle.steering_delay_s=0.2").unwrap();
         layers.resolve().unwrap()
+    }
+
+    /// Every law, with and without compensation.
+    fn all() -> impl Iterator<Item = (&'static str, RunConfig)> {
+        NAMES.iter().flat_map(|name| [true, false].map(|late| (*name, config(name, late))))
     }
 
     #[test]
@@ -186,10 +219,10 @@ mod tests {
         (from_tick..from_tick + 10)
             .map(|tick| {
                 let pose = Pose { x_m: 0.01 * tick as f64, y_m: 0.1, yaw_rad: 0.02 };
-                let reference_pose = reference.advance(tick, pose);
+                let reference_pose = reference.advance(tick as f64, pose);
                 law.command(
                     &parameters,
-                    &Sight::new(config, &reference, tick, reference_pose, pose, 1.0, 0.1),
+                    &Sight::new(config, &reference, tick as f64, reference_pose, pose, 1.0, 0.1),
                 )
             })
             .collect()
@@ -197,8 +230,7 @@ mod tests {
 
     #[test]
     fn every_law_goes_on_where_its_predecessor_was() {
-        for name in NAMES {
-            let config = config(name);
+        for (name, config) in all() {
             let mut law = ControlLaw::new(&config);
             drive(&mut law, &config, 100);
             let mut successor = ControlLaw::new(&config);
@@ -217,8 +249,7 @@ mod tests {
 
     #[test]
     fn no_law_steers_beyond_the_limit_or_fails_on_a_strange_state() {
-        for name in NAMES {
-            let config = config(name);
+        for (name, config) in all() {
             let limit_rad = config.controller.steering_limit_rad;
             let mut law = ControlLaw::new(&config);
             for state in [LawState::of(&[]), LawState::of(&[1e300; 64]), LawState::of(&[-1e300; 3])]

@@ -2,52 +2,44 @@
 
 use config::{Parameters, RunConfig};
 
-use super::{Law, LawState, RawCommand};
+use super::{HeldSteering, Law, LawState, RawCommand};
 use crate::Sight;
 
 /// The law with the state of its low-pass filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Paper {
     tick_s: f64,
-    steering_limit_rad: f64,
-    steering_rad: f64,
+    steering: HeldSteering,
 }
 
 impl Law for Paper {
     fn new(config: &RunConfig) -> Self {
-        Self {
-            tick_s: config.drive.tick_s,
-            steering_limit_rad: config.controller.steering_limit_rad,
-            steering_rad: 0.0,
-        }
+        Self { tick_s: config.drive.tick_s, steering: HeldSteering::new(config) }
     }
 
     fn restart(&mut self, steering_rad: f64) {
-        self.steering_rad = steering_rad.clamp(-self.steering_limit_rad, self.steering_limit_rad);
+        self.steering.hold(steering_rad);
     }
 
     fn state(&self) -> LawState {
-        LawState::of(&[self.steering_rad])
+        self.steering.state()
     }
 
     fn resume(&mut self, state: &LawState) {
-        self.restart(state.numbers().first().copied().unwrap_or_default());
+        self.steering.resume(state);
     }
 
     /// On the error in the vehicle frame, with the parameters Kv (1/s), Kl (rad/(m·s)), Ks (1/s), Ki:
     ///
     /// v = Kv·e_x,  ω = Ks·e_θ + Kl·e_y,  φ = Ki·φ₋₁ + Ki·h·ω,  φ within its limit.
-    ///
-    /// The limit clamps the state of the filter, so that it does not wind up.
     #[inline]
     fn command(&mut self, parameters: &Parameters, sight: &Sight) -> RawCommand {
         let [kv, kl, ks, ki, ..] = parameters.0;
         let error = sight.error;
-        let (h, phi_max) = (self.tick_s, self.steering_limit_rad);
+        let h = self.tick_s;
         let v = kv * error.along_track_m;
         let omega = ks * error.heading_rad + kl * error.cross_track_m;
-        let phi = (ki * self.steering_rad + ki * h * omega).clamp(-phi_max, phi_max);
-        self.steering_rad = phi;
+        let phi = self.steering.hold(ki * self.steering.angle_rad() + ki * h * omega);
         RawCommand { speed_mps: v, yaw_rate_radps: omega, steering_rad: phi }
     }
 }
@@ -66,7 +58,7 @@ mod tests {
         let config = config();
         let reference = Reference::new(&config);
         let pose = Pose::default();
-        let mut sight = Sight::new(&config, &reference, 0, pose, pose, 0.0, 0.0);
+        let mut sight = Sight::new(&config, &reference, 0.0, pose, pose, 0.0, 0.0);
         sight.error = error;
         law.command(&Parameters::of(gains), &sight)
     }
@@ -93,7 +85,8 @@ mod tests {
         for _ in 0..1000 {
             command(&mut law, &gains, left);
         }
-        assert_eq!(law.steering_rad, law.steering_limit_rad);
-        assert!(command(&mut law, &gains, right).steering_rad < law.steering_limit_rad);
+        let limit_rad = config().controller.steering_limit_rad;
+        assert_eq!(law.steering.angle_rad(), limit_rad);
+        assert!(command(&mut law, &gains, right).steering_rad < limit_rad);
     }
 }

@@ -6,46 +6,42 @@
 use config::{Parameters, RunConfig};
 use tracking::tracking_error;
 
-use super::{Law, LawState, RawCommand};
+use super::{HeldSteering, Law, LawState, RawCommand};
 use crate::Sight;
 
 /// The law with the state of its low-pass filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Stanley {
-    steering_limit_rad: f64,
     wheelbase_m: f64,
     /// Whether errors are measured at the nearest point of the path instead of against the moving reference.
     nearest: bool,
-    steering_rad: f64,
+    steering: HeldSteering,
 }
 
 impl Law for Stanley {
     fn new(config: &RunConfig) -> Self {
         Self {
-            steering_limit_rad: config.controller.steering_limit_rad,
             wheelbase_m: config.vehicle.wheelbase_m,
             nearest: config.law.settings.text("errors_at") != "reference",
-            steering_rad: 0.0,
+            steering: HeldSteering::new(config),
         }
     }
 
     fn restart(&mut self, steering_rad: f64) {
-        self.steering_rad = steering_rad.clamp(-self.steering_limit_rad, self.steering_limit_rad);
+        self.steering.hold(steering_rad);
     }
 
     fn state(&self) -> LawState {
-        LawState::of(&[self.steering_rad])
+        self.steering.state()
     }
 
     fn resume(&mut self, state: &LawState) {
-        self.restart(state.numbers().first().copied().unwrap_or_default());
+        self.steering.resume(state);
     }
 
     /// With the parameters Kv (1/s), k (1/s), k_soft (m/s) and the filter's share f:
     ///
     /// δ = e_θ + atan2(k·e_y, k_soft + |v|),  φ = f·φ₋₁ + (1 − f)·δ,  v = v_ref + Kv·e_s,  φ within its limit.
-    ///
-    /// The limit clamps the state of the filter, so that it does not wind up.
     fn command(&mut self, parameters: &Parameters, sight: &Sight) -> RawCommand {
         let [kv, k, k_soft, filter, ..] = parameters.0;
         let front = sight.front_axle();
@@ -53,11 +49,8 @@ impl Law for Stanley {
         let error = tracking_error(target, front);
         let softened_mps = k_soft + sight.speed_mps.abs();
         let delta = error.heading_rad + libm::atan2(k * error.cross_track_m, softened_mps);
-        let phi_max = self.steering_limit_rad;
-        let phi = (filter * self.steering_rad + (1.0 - filter) * delta).clamp(-phi_max, phi_max);
-        self.steering_rad = phi;
-        let behind_m = sight.reference_along_m() - sight.projection().along_m;
-        let speed_mps = sight.reference_speed_mps() + kv * behind_m;
+        let phi = self.steering.filter(filter, delta);
+        let speed_mps = sight.reference_speed_mps() + kv * sight.lateness_m();
         // The yaw rate of a car with these wheels: the command reports it, but the wheels decide.
         let yaw_rate_radps = sight.speed_mps * libm::tan(phi) / self.wheelbase_m;
         RawCommand { speed_mps, yaw_rate_radps, steering_rad: phi }
@@ -88,8 +81,8 @@ mod tests {
         let yaw_rad = 0.1;
         let axles_m = config.vehicle.wheelbase_m - config.vehicle.tracked_point_m;
         let pose = Pose { x_m: 10.0, y_m: 0.5 - axles_m * libm::sin(yaw_rad), yaw_rad };
-        let reference_pose = reference.advance(700, pose);
-        let sight = Sight::new(&config, &reference, 700, reference_pose, pose, 2.0, 0.0);
+        let reference_pose = reference.advance(700.0, pose);
+        let sight = Sight::new(&config, &reference, 700.0, reference_pose, pose, 2.0, 0.0);
         let command = law.command(&Parameters::of(&[0.0, 2.0, 0.5, 0.25]), &sight);
         // The front axle is 0.5 m to the left: e_y = −0.5·cos 0.1, in its frame.
         let delta = -0.1 - libm::atan2(2.0 * 0.5 * libm::cos(0.1), 2.5);
@@ -109,8 +102,8 @@ mod tests {
         let config = config(&[settings]);
         let mut reference = Reference::new(&config);
         let pose = Pose::default();
-        let reference_pose = reference.advance(100, pose);
-        let sight = Sight::new(&config, &reference, 100, reference_pose, pose, 1.0, 0.0);
+        let reference_pose = reference.advance(100.0, pose);
+        let sight = Sight::new(&config, &reference, 100.0, reference_pose, pose, 1.0, 0.0);
         let command = Stanley::new(&config).command(&config.law.defaults(), &sight);
         let error = tracking_error(reference_pose, sight.front_axle());
         let delta = error.heading_rad + libm::atan2(error.cross_track_m, 2.0);

@@ -1,0 +1,246 @@
+//! Dead-time compensation: a law sees the car where it will be when its command takes effect.
+//!
+//! The pose is predicted over the dead time and the lag of the steering, with the commands that are on the way through the
+//! steering's gain, offset, rate and lag, at the measured speed, on a kinematic car. The known offset and gain of the
+//! steering are taken out of the command. This is the predictor of Smith (1957) for a process whose model is the car's
+//! file; odometry that is late counts as dead time of the steering.
+
+use config::RunConfig;
+use tracking::{DelayLine, Part, Pose, Reference, SteeringActuator};
+
+use crate::laws::{LawState, RawCommand};
+use crate::Sight;
+
+/// What is known about the steering of one car: its commands on the way, and where its wheels are.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Compensation {
+    actuator: SteeringActuator,
+    gain: f64,
+    offset_rad: f64,
+    command_limit_rad: f64,
+    wheelbase_m: f64,
+    tracked_point_m: f64,
+    tick_s: f64,
+    /// Ticks until a command reaches the wheels, and until they have followed it by the most part.
+    delay_ticks: usize,
+    lag_ticks: usize,
+    /// The commands that were given, as many as the dead time needs.
+    given: DelayLine<f64>,
+    /// The angle of the road wheels now.
+    wheels_rad: f64,
+}
+
+impl Compensation {
+    /// For the vehicle of a configuration, at the start of a drive; `None` if the configuration does not want it, or the
+    /// steering has nothing to compensate.
+    pub(crate) fn new(config: &RunConfig) -> Option<Self> {
+        let vehicle = &config.vehicle;
+        let tick_s = config.drive.tick_s;
+        let ticks = |time_s: f64| (time_s / tick_s).round() as usize;
+        let (delay_ticks, lag_ticks) =
+            (ticks(vehicle.steering_delay_s), ticks(vehicle.steering_lag_s));
+        let is_plain = delay_ticks + lag_ticks == 0
+            && vehicle.steering_gain == 1.0
+            && vehicle.steering_offset_rad == 0.0;
+        if is_plain || !config.controller.compensate_dead_time {
+            return None;
+        }
+        let part = Part { length_s: tick_s, ago: [delay_ticks] };
+        let actuator = SteeringActuator::new(vehicle);
+        let mut new = Self {
+            actuator,
+            gain: vehicle.steering_gain,
+            offset_rad: vehicle.steering_offset_rad,
+            command_limit_rad: config.controller.steering_limit_rad,
+            wheelbase_m: vehicle.wheelbase_m,
+            tracked_point_m: vehicle.tracked_point_m,
+            tick_s,
+            delay_ticks,
+            lag_ticks,
+            given: DelayLine::new(&[part], 0.0),
+            wheels_rad: 0.0,
+        };
+        new.restart(0.0);
+        Some(new)
+    }
+
+    /// Forgets everything except the angle that was commanded last, for long enough that the wheels are there.
+    pub(crate) fn restart(&mut self, command_rad: f64) {
+        self.given.reset(command_rad);
+        self.wheels_rad = self.actuator.target_rad(command_rad);
+    }
+
+    /// The steering angle that a law wants of the wheels when the car was commanded this angle.
+    pub(crate) fn wanted_rad(&self, command_rad: f64) -> f64 {
+        self.gain * command_rad + self.offset_rad
+    }
+
+    /// Where the reference and the car will be when the command of this tick takes effect, as the law's sight.
+    ///
+    /// `reference` is room for a copy of the reference.
+    pub(crate) fn look_ahead<'a>(&self, sight: &Sight, reference: &'a mut Reference) -> Sight<'a> {
+        let ticks = self.delay_ticks + self.lag_ticks;
+        sight.ahead(reference, ticks as f64, self.predict(sight.pose, sight.speed_mps))
+    }
+
+    /// The pose of the tracked point after the dead time and the lag.
+    fn predict(&self, pose: Pose, speed_mps: f64) -> Pose {
+        let rear = pose.ahead(-self.tracked_point_m);
+        let (mut x_m, mut y_m, mut yaw_rad) = (rear.x, rear.y, pose.yaw_rad);
+        let mut wheels_rad = self.wheels_rad;
+        let step_m = speed_mps * self.tick_s;
+        for tick in 0..self.delay_ticks + self.lag_ticks {
+            // The newest command was given in the last tick. When the last one on the way has arrived, it is held.
+            let command_rad = self.given.given(self.delay_ticks.saturating_sub(tick + 1));
+            let turned_rad = self.actuator.turn(wheels_rad, command_rad, self.tick_s);
+            let turn_rad = step_m * libm::tan(0.5 * (wheels_rad + turned_rad)) / self.wheelbase_m;
+            let heading_rad = yaw_rad + 0.5 * turn_rad;
+            x_m += step_m * libm::cos(heading_rad);
+            y_m += step_m * libm::sin(heading_rad);
+            (yaw_rad, wheels_rad) = (yaw_rad + turn_rad, turned_rad);
+        }
+        let rear = Pose { x_m, y_m, yaw_rad };
+        let tracked = rear.ahead(self.tracked_point_m);
+        Pose { x_m: tracked.x, y_m: tracked.y, yaw_rad }
+    }
+
+    /// Turns what a law wants of the wheels into the command that gives it, and notes that it was given.
+    pub(crate) fn give(&mut self, wanted: RawCommand) -> RawCommand {
+        let limit_rad = self.command_limit_rad;
+        let command_rad = (wanted.steering_rad - self.offset_rad) / self.gain;
+        let steering_rad = command_rad.clamp(-limit_rad, limit_rad);
+        self.given.push(steering_rad);
+        let arrived_rad = self.given.given(self.delay_ticks);
+        self.wheels_rad = self.actuator.turn(self.wheels_rad, arrived_rad, self.tick_s);
+        RawCommand { steering_rad, ..wanted }
+    }
+
+    /// Adds what a successor needs to a law's state: the angle of the wheels, and the commands on the way from the newest
+    /// one on, as far as there is room.
+    pub(crate) fn add_to(&self, law: &LawState) -> LawState {
+        let mut numbers = law.numbers().to_vec();
+        numbers.push(self.wheels_rad);
+        let room = LawState::MOST - numbers.len();
+        numbers.extend((0..=self.delay_ticks).take(room).map(|ago| self.given.given(ago)));
+        LawState::of(&numbers)
+    }
+
+    /// Goes on from what [`Compensation::add_to`] added behind the `count` numbers of the law.
+    pub(crate) fn resume(&mut self, state: &LawState, count: usize) {
+        let Some((wheels_rad, given)) = state.numbers().get(count..).and_then(<[f64]>::split_first)
+        else {
+            return;
+        };
+        let within = |angle_rad: f64, limit_rad: f64| angle_rad.clamp(-limit_rad, limit_rad);
+        let limit_rad = self.command_limit_rad;
+        // What did not fit is taken to be the oldest that did.
+        self.given.reset(within(given.last().copied().unwrap_or_default(), limit_rad));
+        for command_rad in given.iter().rev() {
+            self.given.push(within(*command_rad, limit_rad));
+        }
+        self.wheels_rad = within(*wheels_rad, std::f64::consts::FRAC_PI_2);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use config::Layers;
+    use tracking::SteeringChain;
+
+    fn config(sets: &[&str]) -> RunConfig {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set("controller.compensate_dead_time=true").unwrap();
+        for set in sets {
+            layers.set(set).unwrap();
+        }
+        layers.resolve().unwrap()
+    }
+
+    /// A kinematic car behind the steering of a configuration, at a constant speed.
+    struct Car {
+        steering: SteeringChain,
+        rear: Pose,
+    }
+
+    impl Car {
+        fn tick(&mut self, command_rad: f64, speed_mps: f64) {
+            let before_rad = self.steering.angle_rad();
+            let after_rad = self.steering.step(command_rad);
+            let turn_rad = 0.01 * speed_mps * libm::tan(0.5 * (before_rad + after_rad)) / 2.875;
+            let heading_rad = self.rear.yaw_rad + 0.5 * turn_rad;
+            self.rear.x_m += 0.01 * speed_mps * libm::cos(heading_rad);
+            self.rear.y_m += 0.01 * speed_mps * libm::sin(heading_rad);
+            self.rear.yaw_rad += turn_rad;
+        }
+
+        fn tracked(&self) -> Pose {
+            let at = self.rear.ahead(0.7);
+            Pose { x_m: at.x, y_m: at.y, yaw_rad: self.rear.yaw_rad }
+        }
+    }
+
+    #[test]
+    fn the_pose_is_predicted_to_where_the_car_is_when_the_command_arrives() {
+        let config = config(&[
+            "vehicle.steering_delay_s=0.2",
+            "vehicle.steering_lag_s=0.1",
+            "vehicle.steering_gain=1.1",
+            "vehicle.steering_offset_rad=0.02",
+        ]);
+        let mut compensation = Compensation::new(&config).unwrap();
+        let mut car =
+            Car { steering: SteeringChain::new(&config.vehicle, 0.01), rear: Pose::default() };
+        let mut predicted = Vec::new();
+        let mut driven = Vec::new();
+        for tick in 0..400 {
+            driven.push(car.tracked());
+            // Over the dead time alone the prediction has to be exact: nothing after it has been commanded yet.
+            let over_delay = Compensation { lag_ticks: 0, ..compensation.clone() };
+            predicted.push(over_delay.predict(car.tracked(), 3.5));
+            let wanted_rad = 0.3 * libm::sin(0.05 * f64::from(tick));
+            let wanted = RawCommand { steering_rad: wanted_rad, ..RawCommand::default() };
+            let given = compensation.give(wanted);
+            // Gain and offset are taken out: these wheels come to what was wanted.
+            assert!((1.1 * given.steering_rad + 0.02 - wanted_rad).abs() < 1e-12);
+            car.tick(given.steering_rad, 3.5);
+        }
+        for (predicted, driven) in predicted.iter().zip(&driven[20..]) {
+            let apart_m = libm::hypot(predicted.x_m - driven.x_m, predicted.y_m - driven.y_m);
+            assert!(apart_m < 1e-9, "{apart_m} m");
+            assert!((predicted.yaw_rad - driven.yaw_rad).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_successor_knows_the_commands_on_the_way_as_far_as_there_is_room() {
+        for (delay, exact) in [("0.3", true), ("0.9", false)] {
+            let delay = format!("vehicle.steering_delay_s={delay}");
+            let mut compensation = Compensation::new(&config(&[&delay])).unwrap();
+            let fresh = compensation.clone();
+            for tick in 0..200 {
+                let steering_rad = 0.2 * libm::sin(0.1 * f64::from(tick));
+                compensation.give(RawCommand { steering_rad, ..RawCommand::default() });
+            }
+            let state = compensation.add_to(&LawState::of(&[0.5]));
+            let mut successor = fresh;
+            successor.resume(&state, 1);
+            let pose = |it: &Compensation| it.predict(Pose::default(), 3.0);
+            let (wanted, found) = (pose(&compensation), pose(&successor));
+            let apart_m = libm::hypot(wanted.x_m - found.x_m, wanted.y_m - found.y_m);
+            assert_eq!(apart_m == 0.0, exact, "{delay}: {apart_m} m");
+            assert!(apart_m < 0.2, "{delay}: {apart_m} m");
+        }
+    }
+
+    #[test]
+    fn a_car_without_delay_lag_gain_and_offset_needs_none_and_who_does_not_want_it_has_none() {
+        assert_eq!(Compensation::new(&config(&[])), None);
+        let delay = "vehicle.steering_delay_s=0.2";
+        assert!(Compensation::new(&config(&[delay])).is_some());
+        assert_eq!(
+            Compensation::new(&config(&[delay, "controller.compensate_dead_time=false"])),
+            None
+        );
+    }
+}
