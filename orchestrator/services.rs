@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use config::launch::Role;
+use orchestrator::pipeline::guardian::guard;
 use orchestrator::pipeline::process::exec;
 use orchestrator::words::Failure;
 use orchestrator::{Service, Services, bench};
@@ -29,14 +30,16 @@ pub(crate) const SERVICES: Services = Services(&[
     },
     Service::new("supervisor", Some(Role::Supervisor), |_| Ok(supervisor::service::run()?)),
     Service::new("controller", Some(Role::Controller), |_| Ok(controller::service::run()?)),
-    Service::new("trainer", Some(Role::Trainer), |_| Ok(trainer::service::run()?)),
-    Service::new("schedule", Some(Role::Trainer), |_| Ok(trainer::schedule::run()?)),
+    Service::new("trainer", Some(Role::Trainer), |_| tuned(trainer::service::run())),
+    Service::new("schedule", Some(Role::Trainer), |_| tuned(trainer::schedule::run())),
     Service::new("reviewer", Some(Role::Trainer), |_| Ok(replayer::reviewer::run()?)),
     Service::new("recorder", Some(Role::Recorder), |_| Ok(recorder::service::run()?)),
     // Removes dead nodes from the bus, and ends.
     Service::new("cleaner", None, |_| Ok(runtime::cleanup::run_helper()?)),
     // Wakes a frozen process after some milliseconds.
     Service::new("wake", None, |words| Ok(wake(words)?)),
+    // Starts a user's program, and lets nothing of it outlive it.
+    Service::new("guardian", None, |words| Ok(guard(words)?)),
     // Becomes a user's program.
     Service::new("exec", None, |words| Err(exec(words).into())),
     // For the benchmark: one process of the bare ring, the same over standard input and output, and plain calls.
@@ -44,6 +47,13 @@ pub(crate) const SERVICES: Services = Services(&[
     Service::new("stream-ring", None, |words| Ok(runtime::ring::run_over_streams(hop(words)?)?)),
     Service::new("calls", None, |_| Ok(time_calls()?)),
 ]);
+
+fn tuned(ended: anyhow::Result<()>) -> Result<(), Failure> {
+    ended.map_err(|error| match error.downcast::<trainer::NeedsScales>() {
+        Ok(mistake) => Failure::User(mistake.to_string()),
+        Err(error) => Failure::Other(error),
+    })
+}
 
 fn drive_ros2() -> Result<(), Failure> {
     ros2_vehicle::run().map_err(|error| match error.downcast::<ros2_vehicle::Refused>() {

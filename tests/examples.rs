@@ -119,8 +119,9 @@ fn the_python_vehicle_trains_as_ours_does() {
     let sandbox = Sandbox::new();
     let ours = sandbox.train("ours", &["lane_change", "--episodes", "2"]);
     let replaced = format!("vehicle={}", vehicle.join(" "));
-    let theirs =
-        sandbox.train("theirs", &["lane_change", "--episodes", "2", "--replace", &replaced]);
+    // Its grid is not driven here, which would take it a minute.
+    let args = ["lane_change", "--episodes", "2", "--set", "ranking.max_ticks=0", "--replace", &replaced];
+    let theirs = sandbox.train("theirs", &[&args[..], &["--set", "robust.finalists=1"]].concat());
     assert_eq!(ours["drives"]["asked"], theirs["drives"]["asked"]);
     // By learner and step: the two fleets' drives come back in another order.
     let distances = |out: &str| -> Vec<f64> {
@@ -159,6 +160,104 @@ fn the_rust_vehicle_trains_and_keeps_to_the_contract() {
     let replaced = format!("vehicle={}", vehicle.join(" "));
     let result = sandbox.train("out", &["lane_change", "--episodes", "2", "--replace", &replaced]);
     assert_eq!(result["drives"]["asked"], result["drives"]["driven"]);
+    sandbox.assert_clean();
+}
+
+/// Each figure of a training's table against the same set in `grid --replace` on the same car.
+fn figures_are_those_of_the_grid(sandbox: &Sandbox, out: &str, args: &[&str]) -> Value {
+    let replaced = format!("vehicle={}", rust_vehicle().join(" "));
+    let args = [&["lane_change", "--replace", &replaced, "--deterministic"], args].concat();
+    let trained = sandbox.train(out, &[&args[..], &["--episodes", "2"]].concat());
+    let list = |set: &Value| {
+        let of = |key: &str| set[key].as_f64().unwrap().to_string();
+        ["kv", "kl", "ks", "ki"].map(of).join(",")
+    };
+    let rows = [&trained, &trained["plain_q"], &trained["random_walk"]];
+    let mut grid_args = [&["grid"], &args[..]].concat();
+    let sets = rows.map(|row| list(&row["gains"]));
+    sets.iter().for_each(|set| grid_args.extend(["--gains", set]));
+    let grid = sandbox.json(&format!("{out}_grid"), &grid_args);
+
+    let measures = ["value", "distance", "mse_m2", "path_mean_m", "path_p95_m", "path_max_m", "arrived"];
+    let ranks = ["rank_value", "rank_distance", "rank_mse", "rank_path"];
+    let named = grid["sets"].as_array().unwrap();
+    let (paper, named) = named.split_first().unwrap();
+    assert_eq!((named.len(), &paper["name"]), (3, &"paper".into()));
+    for (row, of_grid) in rows.into_iter().chain([&trained["paper"]]).zip(named.iter().chain([paper])) {
+        assert_eq!(row["gains"], of_grid["gains"]);
+        for key in measures {
+            assert_eq!(row[key], of_grid[key], "{out}: {key} of {}", row["gains"]);
+        }
+        for key in ranks {
+            let rank = if row == &trained { &row["grid"][key] } else { &row[key] };
+            assert_eq!(rank, &of_grid[key], "{out}: {key} of {}", row["gains"]);
+        }
+    }
+    for (key, list, measure) in [
+        ("best_value", "best", "value"),
+        ("best_distance", "best_by_distance", "distance"),
+        ("best_mse_m2", "best_by_mse", "mse_m2"),
+        ("best_path_mean_m", "best_by_path", "path_mean_m"),
+    ] {
+        assert_eq!(trained["grid"][key], grid[list][0][measure], "{out}: {key}");
+    }
+    trained
+}
+
+#[test]
+fn figures_are_those_of_the_car_that_drove() {
+    let sandbox = Sandbox::new();
+    let ours = sandbox.train("ours", &["lane_change", "--episodes", "2"]);
+    let plain = figures_are_those_of_the_grid(&sandbox, "plain", &[]);
+    std::fs::write(
+        sandbox.path("car.toml"),
+        "name = \"late\"\nsteering_delay_s = 0.15\nsteering_lag_s = 0.1\n",
+    )
+    .unwrap();
+    let late = figures_are_those_of_the_grid(&sandbox, "late", &["--vehicle", "car.toml"]);
+    // Three cars, three grids.
+    for (a, b) in [(&ours, &plain), (&plain, &late), (&ours, &late)] {
+        assert_ne!(a["grid"]["best_distance"], b["grid"]["best_distance"]);
+        assert_ne!(a["paper"]["distance"], b["paper"]["distance"]);
+    }
+    // What is promoted is what the car did.
+    let promoted = sandbox.run(&["gains", "promote", "late", "car.toml"]);
+    assert!(promoted.status.success(), "{}", String::from_utf8_lossy(&promoted.stderr));
+    let show = sandbox.run(&["gains", "show", "car.toml", "lane_change", "--json"]);
+    let show: Value = serde_json::from_slice(&show.stdout).unwrap();
+    let origin = &show["gains"]["provenance"];
+    for key in ["distance", "mse_m2", "path_mean_m", "path_max_m"] {
+        assert_eq!(origin[key], late[key], "{key}");
+    }
+    assert_eq!(origin["rank_distance"], late["grid"]["rank_distance"]);
+    assert_eq!((&origin["grid_size"], &origin["drives"]), (&late["grid"]["size"], &1.into()));
+    sandbox.assert_clean();
+}
+
+#[test]
+fn by_the_clock_figures_come_from_finalists_and_the_paper_s_set() {
+    let sandbox = Sandbox::new();
+    let replaced = format!("vehicle={} --realtime", rust_vehicle().join(" "));
+    let output = sandbox.run(&[
+        "train", "lane_change", "--replace", &replaced, "--quiet", "--out", "out", "--episodes", "1", "--alphas", "0.5",
+        "--set", "drive.loop_time_s=0.4", "--set", "learning.step_limit=2", "--set", "robust.finalists=1",
+        "--set", "robust.repeats=2",
+    ]);
+    assert!(output.status.success(), "{}", sandbox.story("out", &output));
+    let result = sandbox.result("out");
+    let drives = &result["vehicle_drives"];
+    assert_eq!((&drives["repeats"], &drives["by_clock"]), (&false.into(), &true.into()));
+    for absent in ["grid", "plain_q", "random_walk"] {
+        assert!(result[absent].is_null(), "{absent}: {}", result[absent]);
+    }
+    for row in [&result, &result["paper"]] {
+        assert_eq!(row["spread"]["drives"], 2, "{row}");
+        assert!(row["distance"].as_f64().unwrap() > 0.0);
+    }
+    // The finalists' drives are those of the table: on a car none is made twice.
+    assert_eq!(drives["for_table"], 0);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("not ranked: the vehicle paces by the clock"), "{said}");
     sandbox.assert_clean();
 }
 

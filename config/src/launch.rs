@@ -81,6 +81,15 @@ impl ProcessEntry {
     pub fn is_deterministic(&self) -> bool {
         self.deterministic.unwrap_or(self.command.is_none())
     }
+
+    /// Whether it is the service of ours that fills this role unless another is named; for a vehicle, our simulator.
+    pub fn is_usual(&self) -> bool {
+        let usual = match self.role {
+            Role::Vehicle => "simulator",
+            role => role.name(),
+        };
+        self.command.is_none() && self.service.as_deref().is_none_or(|name| name == usual)
+    }
 }
 
 /// A launch file.
@@ -141,6 +150,26 @@ impl Launch {
         self.process.insert(0, entry);
     }
 
+    /// Whether vehicle, controller and supervisor are our usual ones: then their drives can also be computed by plain
+    /// calls.
+    pub fn ring_is_ours(&self) -> bool {
+        self.first_of_ring_not_ours().is_none()
+    }
+
+    /// The first role of vehicle, controller and supervisor that our usual service does not fill.
+    pub fn first_of_ring_not_ours(&self) -> Option<Role> {
+        let ring = [Role::Vehicle, Role::Controller, Role::Supervisor];
+        let other = |role: &Role| self.process.iter().any(|it| it.role == *role && !it.is_usual());
+        ring.into_iter().find(other)
+    }
+
+    /// Whether the same request always gives the same drive. An adapter of ours drives a car that is not.
+    pub fn repeats(&self) -> bool {
+        let is_adapter =
+            |it: &ProcessEntry| it.role == Role::Vehicle && !it.is_usual() && it.deterministic.is_none();
+        self.process.iter().all(|entry| entry.is_deterministic() && !is_adapter(entry))
+    }
+
     /// Whether the run is recorded from its first tick on.
     pub fn is_recorded(&self) -> bool {
         self.process.iter().any(|entry| entry.role == Role::Recorder)
@@ -165,11 +194,12 @@ impl Launch {
         }
     }
 
-    /// Puts a command in a role, from `ROLE=COMMAND`.
+    /// Puts a command in a role, from `ROLE=COMMAND`; `deterministic` says whether the same request always gives the same
+    /// drive with it.
     ///
     /// # Errors
     /// If there is no `=`, no such role, or no command.
-    pub fn replace(&mut self, replacement: &str) -> Result<(), ConfigError> {
+    pub fn replace(&mut self, replacement: &str, deterministic: bool) -> Result<(), ConfigError> {
         let origin = format!("--replace {replacement}");
         let Some((role, command)) = replacement.split_once('=') else {
             return Err(ConfigError::new(origin, "", "has no '='; write --replace ROLE='COMMAND'"));
@@ -189,7 +219,7 @@ impl Launch {
         for entry in self.process.iter_mut().filter(|entry| entry.role == role) {
             entry.command = Some(command.to_owned());
             entry.service = None;
-            entry.deterministic = None;
+            entry.deterministic = deterministic.then_some(true);
         }
         Ok(())
     }
@@ -206,7 +236,7 @@ mod tests {
         fn no_text_makes_the_parser_panic(text in ".{0,200}", role in "(vehicle|pilot|[a-z=' ]{0,20})") {
             let _ = Launch::parse("x", &text);
             let _ = Launch::parse("x", &format!("[[process]]\nrole = '{role}'\n{text}"));
-            let _ = Launch::train().replace(&format!("{role}={text}"));
+            let _ = Launch::train().replace(&format!("{role}={text}"), false);
         }
     }
 
@@ -238,14 +268,30 @@ mod tests {
     #[test]
     fn a_replacement_takes_one_role() {
         let mut launch = Launch::train();
-        launch.replace("vehicle=python3 car.py --port=3").unwrap();
+        assert!(launch.ring_is_ours() && launch.repeats());
+        launch.replace("vehicle=python3 car.py --port=3", false).unwrap();
         let vehicle = launch.process.iter().find(|entry| entry.role == Role::Vehicle).unwrap();
         assert_eq!(vehicle.command.as_deref(), Some("python3 car.py --port=3"));
-        assert!(!vehicle.is_deterministic());
-        assert!(launch.replace("vehicle").is_err());
-        assert!(launch.replace("pilot=x").is_err());
-        assert!(launch.replace("vehicle= ").is_err());
-        assert!(launch.replace("recorder=x").is_err());
+        assert!(!vehicle.is_deterministic() && !launch.ring_is_ours() && !launch.repeats());
+        launch.replace("vehicle=python3 car.py", true).unwrap();
+        assert!(launch.repeats() && !launch.ring_is_ours());
+        for wrong in ["vehicle", "pilot=x", "vehicle= ", "recorder=x"] {
+            assert!(launch.replace(wrong, false).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn an_adapter_of_ours_is_no_simulator() {
+        let mut launch = Launch::train();
+        launch.prefer_service(Role::Vehicle, "simulator");
+        launch.prefer_service(Role::Trainer, "schedule");
+        assert!(launch.ring_is_ours() && launch.repeats());
+        launch.fill(Role::Vehicle, "ros2-vehicle", false);
+        assert!(!launch.ring_is_ours() && !launch.repeats());
+        // As a launch file names it.
+        let vehicle = launch.process.iter_mut().find(|entry| entry.role == Role::Vehicle).unwrap();
+        vehicle.deterministic = None;
+        assert!(!launch.repeats());
     }
 
     #[test]

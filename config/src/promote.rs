@@ -316,6 +316,7 @@ mod tests {
             seed: i64::MAX as u64,
             alphas: vec![0.1, 0.5],
             noise: true,
+            drives: Some(10),
             distance: 0.1 + 0.2,
             mse_m2: 0.5,
             tuner: Some("educated-q".to_owned()),

@@ -107,6 +107,51 @@ impl RunConfig {
         }
     }
 
+    /// How far from the path the vehicle may be; infinite if that is not watched.
+    pub fn path_distance_limit_m(&self) -> f64 {
+        let noise_m = if self.noise.enabled { self.noise.position_sd_m } else { 0.0 };
+        let derived_m = 3.0 * self.vehicle.wheelbase_m / 2.875 + noise_m;
+        let limit = self.vehicle.safety.path_distance_limit_m;
+        limit.or(if self.is_as_in_the_paper() { f64::INFINITY } else { derived_m })
+    }
+
+    /// How far the vehicle's heading may differ from the path's; infinite if that is not watched.
+    pub fn path_heading_limit_rad(&self) -> f64 {
+        let noise_rad = if self.noise.enabled { self.noise.heading_half_width_rad } else { 0.0 };
+        let limit = self.vehicle.safety.path_heading_limit_rad;
+        limit.or(if self.is_as_in_the_paper() { f64::INFINITY } else { 0.8 + noise_rad })
+    }
+
+    /// Whether the gate watches that the vehicle does what it is told.
+    pub fn watches_response(&self) -> bool {
+        match self.vehicle.safety.watch_response {
+            Watched::On => true,
+            Watched::Off => false,
+            Watched::Auto => !self.is_as_in_the_paper(),
+        }
+    }
+
+    /// Whether it is one of the paper's manoeuvres with the paper's vehicle, kinematic or dynamic: its drives are to be
+    /// the paper's, without a gate that ends them.
+    fn is_as_in_the_paper(&self) -> bool {
+        let is_paper_s_vehicle =
+            ["tesla_model_3", "tesla_model_3_dynamic"].contains(&&*self.vehicle_preset);
+        !self.paper.is_empty() && is_paper_s_vehicle
+    }
+
+    /// Whether drives are meant to arrive at the end of the path; those that are not end by their time.
+    pub fn is_to_arrive(&self) -> bool {
+        self.objective.cap_wheelbases > 0.0
+    }
+
+    /// Whether the reference waits for a vehicle that does not follow: on every path but the paper's, whose drives are to
+    /// be the paper's.
+    pub fn reference_waits(&self) -> bool {
+        let Reference { advance, wait_to_speed, wait_to_s, .. } = self.reference;
+        let is_on = wait_to_speed.is_finite() || wait_to_s.is_finite();
+        advance == Advance::Time && is_on && self.paper.is_empty()
+    }
+
     /// Whether the path is one of the user's own.
     pub fn is_own_path(&self) -> bool {
         self.maneuver == crate::presets::OWN_PATH
@@ -214,6 +259,7 @@ pub struct TunerConfig {
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
 pub struct Ranking {
     pub max_ticks: u64,
+    pub repeats: u32,
 }
 
 /// A pose in the map frame (REP-103: x forward, y left, yaw counter-clockwise).
@@ -258,6 +304,13 @@ pub enum Piece {
     /// again.
     Diagonal {
         /// Distance ahead, in the heading before the piece.
+        length_m: f64,
+        /// Distance to the left; negative to the right.
+        offset_m: f64,
+    },
+    /// Half a wave of a cosine to another lane: it begins and ends in the heading before the piece.
+    Cosine {
+        /// Distance ahead, in that heading.
         length_m: f64,
         /// Distance to the left; negative to the right.
         offset_m: f64,
@@ -309,6 +362,11 @@ pub struct Reference {
     pub lookahead_m: f64,
     pub speed_mps: f64,
     pub ramp_s: f64,
+    pub wait_from_speed: f64,
+    pub wait_to_speed: f64,
+    pub wait_from_s: f64,
+    pub wait_to_s: f64,
+    pub wait_limit_s: f64,
 }
 
 /// Length and pace of a drive.
@@ -327,6 +385,7 @@ pub struct Drive {
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
 pub struct Controller {
     pub steering_limit_rad: f64,
+    pub compensate_dead_time: bool,
 }
 
 choice!(
@@ -552,6 +611,78 @@ pub struct Vehicle {
     pub gains: BTreeMap<String, crate::TunedGains>,
 }
 
+choice!(
+    /// Whether something is watched.
+    Watched {
+        /// On, except for the paper's manoeuvres with the paper's vehicle.
+        Auto,
+        /// On.
+        On,
+        /// Off.
+        Off,
+    }
+);
+
+/// A limit of the vehicle: a number, or "auto", which is derived from other keys.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Limit {
+    /// Derived from other keys.
+    Auto,
+    /// This number.
+    Is(f64),
+}
+
+impl Limit {
+    /// The word for a limit that is derived.
+    pub(crate) const AUTO: &str = "auto";
+
+    /// The limit, where `derived` is what "auto" means.
+    fn or(self, derived: f64) -> f64 {
+        match self {
+            Self::Auto => derived,
+            Self::Is(number) => number,
+        }
+    }
+}
+
+impl Serialize for Limit {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Auto => serializer.serialize_str(Self::AUTO),
+            Self::Is(number) => serializer.serialize_f64(*number),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Limit {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Reader;
+        impl serde::de::Visitor<'_> for Reader {
+            type Value = Limit;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a number, or \"auto\"")
+            }
+
+            fn visit_f64<E>(self, number: f64) -> Result<Limit, E> {
+                Ok(Limit::Is(number))
+            }
+
+            fn visit_i64<E>(self, number: i64) -> Result<Limit, E> {
+                Ok(Limit::Is(number as f64))
+            }
+
+            fn visit_str<E: serde::de::Error>(self, word: &str) -> Result<Limit, E> {
+                if word == Limit::AUTO {
+                    return Ok(Limit::Auto);
+                }
+                Err(E::invalid_value(serde::de::Unexpected::Str(word), &self))
+            }
+        }
+        deserializer.deserialize_any(Reader)
+    }
+}
+
 /// Limits for commands to the vehicle, and for the plausibility of its odometry. `inf` switches a limit off.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -567,6 +698,9 @@ pub struct Safety {
     pub standstill_mps: f64,
     pub jump_limit_m: f64,
     pub jump_limit_rad: f64,
+    pub path_distance_limit_m: Limit,
+    pub path_heading_limit_rad: Limit,
+    pub watch_response: Watched,
     pub degraded_limit_s: f64,
     pub answer_age_limit_s: f64,
     pub command_age_limit_s: f64,

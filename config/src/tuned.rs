@@ -161,6 +161,10 @@ pub struct Provenance {
     pub alphas: Vec<f64>,
     /// Whether there was noise on the odometry.
     pub noise: bool,
+    /// Number of drives of a vehicle that is not our simulator over which the figures are means; absent if they are those
+    /// of our simulator.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drives: Option<u32>,
     /// Distance of the mean errors, noise-free.
     pub distance: f64,
     /// Mean squared error, noise-free.
@@ -180,7 +184,8 @@ pub struct Provenance {
     /// Rank in the grid by the mean of the objective under noise.
     #[serde(default, skip_serializing_if = "Option::is_none", alias = "rank_mean_distance")]
     pub rank_mean: Option<u64>,
-    /// Lower end of the bootstrap interval of the mean under noise.
+    /// Lower end of the bootstrap interval of the objective's mean: under noise, or over the drives of a vehicle that does
+    /// not repeat itself.
     #[serde(default, skip_serializing_if = "Option::is_none", alias = "mean_distance_low")]
     pub mean_low: Option<f64>,
     /// Its upper end.

@@ -1,6 +1,6 @@
 //! Checks ranges, and values that must fit together.
 
-use crate::{Advance, Axis, Grid, Piece, RunConfig, Scale, Vehicle, VehicleModel, law, points};
+use crate::{Advance, Axis, Grid, Limit, Piece, RunConfig, Scale, Vehicle, VehicleModel, law, points};
 
 /// The largest fleet that one message carries.
 pub(crate) const MAX_FLEET: u32 = 256;
@@ -21,6 +21,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     if c.reference.advance == Advance::Projection {
         above("reference.lookahead_m", c.reference.lookahead_m, 0.0, 100.0)?;
     }
+    waiting(c)?;
     above("drive.loop_time_s", c.drive.loop_time_s, 0.0, 3600.0)?;
     within("drive.tick_s", c.drive.tick_s, 0.001, 0.1)?;
     if c.ticks() < 1 || c.drive.loop_time_s / c.drive.tick_s > MAX_TICKS {
@@ -40,6 +41,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     within("collision.margin_m", c.collision.margin_m, 0.0, 100.0)?;
     within("collision.penalty", c.collision.penalty, 0.0, 100.0)?;
     paper(c)?;
+    whole("ranking.repeats", c.ranking.repeats.into(), 1, 1000)?;
     whole("robust.finalists", c.robust.finalists.into(), 1, 1000)?;
     whole("robust.repeats", c.robust.repeats.into(), 2, 1000)?;
     whole("robust.holdout", c.robust.holdout.into(), 1, 10_000)?;
@@ -50,6 +52,20 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     learning(c)?;
     run(c)?;
     vehicle(c)
+}
+
+/// Bounds between which the reference waits.
+fn waiting(config: &RunConfig) -> Result<(), Problem> {
+    let r = &config.reference;
+    above("reference.wait_from_speed", r.wait_from_speed, 1.0, 1e6)?;
+    within("reference.wait_from_s", r.wait_from_s, 0.0, 1e6)?;
+    for (key, from, to) in [
+        ("reference.wait_to_speed", r.wait_from_speed, r.wait_to_speed),
+        ("reference.wait_to_s", r.wait_from_s, r.wait_to_s),
+    ] {
+        above(key, to, from, f64::INFINITY)?;
+    }
+    above("reference.wait_limit_s", r.wait_limit_s, 0.0, f64::INFINITY)
 }
 
 fn paper(config: &RunConfig) -> Result<(), Problem> {
@@ -83,7 +99,7 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
         let key = |field: &str| format!("path.pieces[{index}].{field}");
         match *piece {
             Piece::Straight { length_m } => above(&key("length_m"), length_m, 0.0, 1e5)?,
-            Piece::Diagonal { length_m, offset_m } => {
+            Piece::Diagonal { length_m, offset_m } | Piece::Cosine { length_m, offset_m } => {
                 above(&key("length_m"), length_m, 0.0, 1e5)?;
                 within(&key("offset_m"), offset_m, -1e5, 1e5)?;
             }
@@ -260,6 +276,14 @@ fn safety(config: &RunConfig) -> Result<(), Problem> {
         above(&format!("vehicle.safety.{key}"), limit, 0.0, f64::INFINITY)?;
     }
     within("vehicle.safety.reverse_limit_mps", s.reverse_limit_mps, 0.0, f64::INFINITY)?;
+    for (key, limit) in [
+        ("path_distance_limit_m", s.path_distance_limit_m),
+        ("path_heading_limit_rad", s.path_heading_limit_rad),
+    ] {
+        if let Limit::Is(limit) = limit {
+            above(&format!("vehicle.safety.{key}"), limit, 0.0, f64::INFINITY)?;
+        }
+    }
     above("vehicle.safety.stop_deceleration_mps2", s.stop_deceleration_mps2, 0.0, 100.0)?;
     above("vehicle.safety.standstill_mps", s.standstill_mps, 0.0, 1.0)?;
     within("vehicle.safety.degraded_limit_s", s.degraded_limit_s, 0.0, 10.0)?;

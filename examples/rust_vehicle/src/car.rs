@@ -2,6 +2,7 @@
 
 use config::Vehicle;
 use ipc_types::{Odometry, WirePose};
+use tracking::SteeringChain;
 
 /// How fast the car gains speed, and how fast it brakes.
 const ACCELERATION_MPS2: f64 = 2.0;
@@ -17,7 +18,8 @@ pub struct Car {
     yaw_rad: f64,
     speed_mps: f64,
     yaw_rate_radps: f64,
-    steering_rad: f64,
+    /// From the command to the road wheels: dead time, lag and whatever else the vehicle's file says.
+    steering: SteeringChain,
 }
 
 impl Car {
@@ -32,7 +34,7 @@ impl Car {
             yaw_rad: start.yaw_rad,
             speed_mps: 0.0,
             yaw_rate_radps: 0.0,
-            steering_rad: 0.0,
+            steering: SteeringChain::new(kind, tick_s),
         }
     }
 
@@ -51,12 +53,9 @@ impl Car {
     }
 
     fn roll(&mut self, speed_mps: f64, steering_rad: f64) {
-        let (limit_rad, reach_rad) =
-            (self.kind.steering_limit_rad, self.kind.steering_rate_radps * self.tick_s);
-        let wanted_rad = steering_rad.clamp(-limit_rad, limit_rad);
-        self.steering_rad += (wanted_rad - self.steering_rad).clamp(-reach_rad, reach_rad);
+        let angle_rad = self.steering.step(steering_rad);
         self.speed_mps = speed_mps;
-        self.yaw_rate_radps = speed_mps * self.steering_rad.tan() / self.kind.wheelbase_m;
+        self.yaw_rate_radps = speed_mps * angle_rad.tan() / self.kind.wheelbase_m;
         let turned_rad = self.yaw_rate_radps * self.tick_s;
         let middle_rad = self.yaw_rad + turned_rad / 2.0;
         self.x_m += speed_mps * self.tick_s * middle_rad.cos();
@@ -77,7 +76,7 @@ impl Car {
             truth: pose,
             speed_mps: self.speed_mps,
             yaw_rate_radps: self.yaw_rate_radps,
-            steering_rad: self.steering_rad,
+            steering_rad: self.steering.angle_rad(),
             status: Odometry::HAS_TRUTH | status,
             reserved: 0,
         }

@@ -29,8 +29,9 @@ pub enum Command {
     Drive(Box<DriveArgs>),
     /// Let a vehicle that was stopped drive again, from where it stands
     Rearm {
-        /// The run: the beginning of its number, or its folder; may be left out if there is only one
-        run: Option<String>,
+        /// The run.
+        #[command(flatten)]
+        run: RunArg,
         /// The vehicle's slot in the fleet [default: all stopped vehicles]
         #[arg(long, value_name = "I")]
         vehicle: Option<u32>,
@@ -52,19 +53,27 @@ pub enum Command {
     Monitor(MonitorArgs),
     /// List the living runs
     Status {
-        /// Print them as JSON
+        /// The run.
+        #[command(flatten)]
+        run: RunArg,
+        /// Print them as JSON, each with the root path and the prefix of its iceoryx2 and the folder of its results
         #[arg(long)]
         json: bool,
+        /// Print the configuration with which iceoryx2's own command line sees the run
+        #[arg(long, conflicts_with = "json")]
+        iox2: bool,
     },
     /// Stop a living run
     Stop {
-        /// The run: the beginning of its number, or its folder; may be left out if there is only one
-        run: Option<String>,
+        /// The run.
+        #[command(flatten)]
+        run: RunArg,
     },
     /// Print the last lines of a run's logs
     Logs {
-        /// The beginning of a living run's number, or a folder; may be left out if there is only one run
-        run: Option<String>,
+        /// The run, which may have ended if its folder is named.
+        #[command(flatten)]
+        run: RunArg,
         /// Print only the log of this process
         #[arg(long, value_name = "NAME")]
         process: Option<String>,
@@ -105,6 +114,24 @@ pub enum Command {
     },
 }
 
+/// The living run that is meant.
+#[derive(Debug, Args)]
+pub struct RunArg {
+    /// The run: the beginning of its number, or its folder; may be left out if there is only one
+    #[arg(value_name = "RUN")]
+    run: Option<String>,
+    /// As `record` and `monitor` have named it before.
+    #[arg(long = "run", value_name = "RUN", hide = true, conflicts_with = "run")]
+    option: Option<String>,
+}
+
+impl RunArg {
+    /// What the user has named, if anything.
+    pub fn name(&self) -> Option<&str> {
+        self.run.as_deref().or(self.option.as_deref())
+    }
+}
+
 /// Options of `train`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -113,9 +140,10 @@ pub enum Command {
   pathtune train lane_change --set learning.gamma=0.8 --json
   pathtune train lane_change --tuner q --objective path
   pathtune train --path slalom.csv --noise
-  pathtune train lane_change --replace vehicle='python3 my_vehicle.py'")]
+  pathtune train lane_change --replace vehicle='python3 my_vehicle.py'
+  pathtune train lane_change --replace vehicle='./my_simulator' --deterministic")]
 pub struct TrainArgs {
-    /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
+    /// The manoeuvre: lane_change, smooth_lane, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
     /// Resume a training that was stopped or killed; it comes to the same result as if left alone
     #[arg(
@@ -124,7 +152,7 @@ pub struct TrainArgs {
         conflicts_with_all = [
             "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "law", "objective",
             "tuner", "out",
-            "config", "set", "launch", "replace", "path", "vehicle", "record", "record_split",
+            "config", "set", "launch", "replace", "deterministic", "path", "vehicle", "record", "record_split",
         ]
     )]
     pub resume: Option<PathBuf>,
@@ -160,7 +188,7 @@ pub struct TrainArgs {
   pathtune validate circuit --gains 3,21,21,0.7/3.4,21,1,0.84
   pathtune validate --path slalom.csv --gains 3,21,21,0.7")]
 pub struct ValidateArgs {
-    /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
+    /// The manoeuvre: lane_change, smooth_lane, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
     /// Gains to drive instead of the paper's: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; for a path
     /// with several manoeuvres, one set for each, as in 3,21,21,0.7/3.4,21,1,0.84; repeatable
@@ -183,7 +211,7 @@ pub struct ValidateArgs {
   pathtune drive lane_change --adapter ros2-vehicle --vehicle my_car.toml
   pathtune drive --path slalom.csv --gains 3,21,21,0.7 --realtime --replace vehicle='python3 my_car.py'")]
 pub struct DriveArgs {
-    /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
+    /// The manoeuvre: lane_change, smooth_lane, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
     /// The gains: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; for a path with several manoeuvres, one
     /// set for each, as in 3,21,21,0.7/3.4,21,1,0.84 [default: those promoted to the vehicle, or the paper's, or
@@ -215,7 +243,7 @@ pub struct DriveArgs {
   pathtune grid lane_change
   pathtune grid roundabout --gains 3.4,21,1,0.84 --json")]
 pub struct GridArgs {
-    /// The manoeuvre: lane_change, roundabout or circuit; may be left out with --path
+    /// The manoeuvre: lane_change, smooth_lane, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
     /// Gains to rank among those of the grid: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; repeatable
     #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
@@ -262,6 +290,10 @@ pub struct SetupArgs {
     /// Run a program of yours in a role (vehicle, supervisor, controller, trainer); repeatable
     #[arg(long, value_name = "ROLE=COMMAND")]
     pub replace: Vec<String>,
+    /// Declare that what --replace puts in place gives the same drive for the same request: then drives may be answered
+    /// from memory, and one drive of a set is enough
+    #[arg(long, requires = "replace")]
+    pub deterministic: bool,
     /// Record the run from its first tick, without loss, into recording.mcap in its folder
     #[arg(long)]
     pub record: bool,
@@ -303,11 +335,11 @@ pub struct SetupArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   pathtune record
-  pathtune record --run 3f --out drive.mcap --for 10s")]
+  pathtune record 3f --out drive.mcap --for 10s")]
 pub struct RecordArgs {
-    /// The run: the beginning of its number, or its folder; may be left out if there is only one
-    #[arg(long, value_name = "RUN")]
-    pub run: Option<String>,
+    /// The run.
+    #[command(flatten)]
+    pub run: RunArg,
     /// The file to write [default: recording.mcap in the run's folder, or the same with the next free number]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -403,11 +435,11 @@ pub struct BenchArgs {
   pathtune monitor
   pathtune monitor --json --for 10s
   pathtune monitor --once --budget 1ms
-  pathtune monitor --run 3f --vehicle 2 --csv latency.csv")]
+  pathtune monitor 3f --vehicle 2 --csv latency.csv")]
 pub struct MonitorArgs {
-    /// The run: the beginning of its number, or its folder; may be left out if there is only one
-    #[arg(long, value_name = "RUN")]
-    pub run: Option<String>,
+    /// The run.
+    #[command(flatten)]
+    pub run: RunArg,
     /// Show the flags of the vehicle in this slot of the fleet
     #[arg(long, value_name = "I", default_value_t = 0)]
     pub vehicle: usize,

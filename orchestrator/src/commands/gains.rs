@@ -1,14 +1,15 @@
 //! `pathtune gains`: promotes the result of a training to a vehicle's file, and rolls it back.
 
 use std::fs;
-use std::io::{self, Read};
 use std::path::Path;
 
 use config::promote::{self, changes, geometry_difference, large_changes, rollback_place};
 use config::{
     LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset, read_small,
 };
-use outcome::{Outcome, OutcomeError, RESULT_FILE, read_result};
+use outcome::{
+    OUTCOME_FILE, Outcome, OutcomeError, RESULT_FILE, read_decided, read_result,
+};
 use serde_json::{Map, Value, json};
 
 use crate::cli::GainsCommand;
@@ -61,18 +62,6 @@ fn list(file: &Path, as_json: bool) -> Result<(), Failure> {
         say!("{table}");
     }
     Ok(())
-}
-
-/// Counts the lines of a file that may be long.
-fn count_lines(path: &Path) -> io::Result<u64> {
-    let mut file = fs::File::open(path)?;
-    let (mut lines, mut bytes) = (0, vec![0; 1 << 16]);
-    loop {
-        match file.read(&mut bytes)? {
-            0 => return Ok(lines),
-            count => lines += bytes[..count].iter().filter(|byte| **byte == b'\n').count() as u64,
-        }
-    }
 }
 
 /// A set as JSON, for scripts: its parameters are on the same level as the rest, under their own names.
@@ -164,8 +153,13 @@ fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
         (Some(rank), Some(size)) => format!(", rank {rank} of {size}"),
         _ => String::new(),
     };
+    let of_drives = match it.drives {
+        None => String::new(),
+        Some(1) => " in a drive of the vehicle itself".to_owned(),
+        Some(count) => format!(" over {count} drives of the vehicle itself"),
+    };
     say!(
-        "noise-free: distance {}, mse {} m²{}",
+        "noise-free{of_drives}: distance {}, mse {} m²{}",
         digits(it.distance, 4),
         digits(it.mse_m2, 4),
         of_grid(it.rank_distance),
@@ -175,8 +169,9 @@ fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
     }
     if let (Some(low), Some(high)) = (it.mean_low, it.mean_high) {
         let objective = it.objective.as_deref().unwrap_or("distance");
+        let under_noise = if it.noise { "under noise: " } else { "" };
         say!(
-            "under noise: mean {objective} in [{}, {}]{}",
+            "{under_noise}mean {objective} in [{}, {}]{}",
             digits(low, 4),
             digits(high, 4),
             of_grid(it.rank_mean),
@@ -338,12 +333,10 @@ impl Trained {
         };
         let origin = run.join("config.toml").display().to_string();
         let config = resolved_config(&origin, &read("config.toml")?)?;
-        // After the line that opens the journal, each line is a step.
-        let steps = count_lines(&folder.join("journal"))
-            .map_err(|error| unfinished(&format!("journal: {error}")))?
-            .saturating_sub(1);
-        if training.asked != steps {
-            return Err(unfinished("result.json does not belong to the journal"));
+        // What the trainer wrote when it had finished.
+        let finished = read_decided(&folder).map_err(|error| unfinished(&error.to_string()))?;
+        if finished != decided {
+            return Err(unfinished(&format!("{RESULT_FILE} does not belong to {OUTCOME_FILE}")));
         }
         for (key, differs) in [
             ("maneuver", decided.maneuver != config.maneuver),
@@ -372,8 +365,9 @@ impl Trained {
             seed: config.run.seed,
             tuner: Some(training.tuner.clone()),
             objective: Some(decided.objective.clone()),
-            alphas: config.run.alphas.clone(),
+            alphas: training.learners.iter().filter_map(|learner| learner.alpha).collect(),
             noise: config.noise.enabled,
+            drives: training.vehicle_drives.map(|_| training.spread.map_or(1, |it| it.drives)),
             distance: training.measures.distance,
             mse_m2: training.measures.mse_m2,
             path_mean_m: Some(training.measures.path_mean_m),

@@ -36,6 +36,11 @@ pub(crate) fn train(args: &TrainArgs, services: Services) -> Result<EndedRun, Fa
         }
         other => other,
     })?;
+    if let Some(signal) = facts.pipeline.stopped_by {
+        let folder = ready.plan.folder.display();
+        let way_on = format!("go on with: pathtune train --resume {folder}");
+        return Err(Failure::Interrupted(signal, way_on));
+    }
     conclude(&ready.plan, &facts, args.setup.json)
 }
 
@@ -67,12 +72,12 @@ fn resolve_config(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failur
     if args.noise {
         layers.put("--noise", "noise.enabled", true)?;
     }
-    // Drives of a vehicle that is not deterministic must not stand in for each other.
-    let repeats = launch.process.iter().all(|entry| entry.is_deterministic());
-    if args.no_memo || !repeats {
+    if args.no_memo {
         layers.put("--no-memo", "run.memo", false)?;
     }
     let mut config = layers.resolve()?;
+    // Drives that do not repeat must not stand in for each other.
+    config.run.memo &= launch.repeats() && !config.run.realtime;
     if config.noise.enabled && config.robust.engage_gear {
         config.vehicle.gear_engaged = true;
     }

@@ -4,11 +4,10 @@ use std::path::PathBuf;
 
 use config::launch::Launch;
 use config::{RunConfig, SweepPlan};
-use outcome::ProcessFacts;
+use outcome::{ProcessFacts, RecordingFacts, Recovery};
 use runtime::Wait;
 
 use crate::pipeline::interrupts::Interrupts;
-use crate::pipeline::recovery::Recovery;
 use crate::pipeline::restart::Budget;
 use crate::pipeline::sequencer::DriveCounts;
 use crate::pipeline::services::Services;
@@ -36,6 +35,8 @@ pub(crate) struct Plan {
 /// What only the orchestrator knows about a pipeline that has ended.
 #[derive(Debug)]
 pub(crate) struct PipelineFacts {
+    /// The signal that has ended it before its time, if one has.
+    pub(crate) stopped_by: Option<i32>,
     pub(crate) counts: DriveCounts,
     /// In the order in which they started.
     pub(crate) processes: Vec<ProcessFacts>,
@@ -43,6 +44,8 @@ pub(crate) struct PipelineFacts {
     pub(crate) wall_s: f64,
     /// Mean time of a tick, from the request of a batch to its report.
     pub(crate) tick_ns: f64,
+    /// What the recorder wrote; none if there is none, or if it did not live to tell.
+    pub(crate) recording: Option<RecordingFacts>,
     /// How the processes waited for each other.
     pub(crate) waiting: &'static str,
 }

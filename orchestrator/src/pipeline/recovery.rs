@@ -1,7 +1,7 @@
 //! Injected faults, and how long it takes until ticks flow again.
 
+use outcome::{DeathToTick, Recovery};
 use runtime::chaos::Spread;
-use serde::{Deserialize, Serialize};
 
 /// Random kills at a given mean rate, with exponentially distributed intervals.
 #[derive(Debug)]
@@ -69,33 +69,12 @@ impl Recoveries {
         };
         let at = |share: f64| (!times_ns.is_empty()).then(|| at(share));
         Recovery {
-            injected: self.killed_at_random + scripted,
-            stalls: self.stalls,
-            recoveries: times_ns.len(),
+            injected: (self.killed_at_random + scripted) as u64,
+            stalls: self.stalls as u64,
+            recoveries: times_ns.len() as u64,
             death_to_tick_ms: DeathToTick { p50: at(0.5), p99: at(0.99), max: at(1.0) },
         }
     }
-}
-
-/// Faults and recoveries of a run: `run.recovery` of `result.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Recovery {
-    /// Faults that were caused on purpose.
-    pub(crate) injected: usize,
-    /// Batches that were driven again although no process had died.
-    pub(crate) stalls: usize,
-    /// How many times ticks began to flow again.
-    pub(crate) recoveries: usize,
-    /// Milliseconds from a death to the next tick.
-    pub(crate) death_to_tick_ms: DeathToTick,
-}
-
-/// Percentiles of a time; `None` if there was no recovery.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) struct DeathToTick {
-    pub(crate) p50: Option<f64>,
-    pub(crate) p99: Option<f64>,
-    pub(crate) max: Option<f64>,
 }
 
 #[cfg(test)]

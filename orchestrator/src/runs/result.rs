@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use config::RunConfig;
-use outcome::{Drives, Outcome, RESULT_FILE, Run, RunDrives, RunResult, read_decided, to_json};
+use outcome::{Drives, Outcome, OUTCOME_FILE, RESULT_FILE, Run, RunDrives, RunResult, SingleDrive, read_decided, to_json};
 
 use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::runs::running::RunFacts;
 use crate::words::terminal::{say, tell};
+use crate::words::tables::in_words;
 use crate::words::{Failure, tables};
 
 /// A run that has ended.
@@ -19,11 +20,22 @@ pub struct EndedRun {
     pub folder: PathBuf,
     /// Standard output is reserved for its JSON.
     pub json: bool,
+    /// The signal that has stopped it before its end, and what was driven by then.
+    pub stopped: Option<(i32, String)>,
+    /// Why a single drive did not arrive.
+    pub not_arrived: Option<String>,
 }
 
-/// Writes `result.json`, and prints it or its table.
+/// Writes `result.json`, and prints it or its table. Of a run that was stopped, both hold what was driven by then.
 pub(crate) fn conclude(plan: &Plan, facts: &RunFacts, json: bool) -> Result<EndedRun, Failure> {
-    let result = write_result(&plan.folder, &plan.config, facts)?;
+    let stopped_by = facts.pipeline.stopped_by;
+    if let Some(signal) = stopped_by
+        && !plan.folder.join(OUTCOME_FILE).exists()
+    {
+        let left = "the processes were stopped before anything was driven".to_owned();
+        return Err(Failure::Interrupted(signal, left));
+    }
+    let result = write_result(plan, facts)?;
     if json {
         // Byte for byte the content of the file.
         let bytes = to_json(&result);
@@ -31,14 +43,47 @@ pub(crate) fn conclude(plan: &Plan, facts: &RunFacts, json: bool) -> Result<Ende
     } else {
         tables::print_result(&result, &plan.config)?;
     }
-    Ok(EndedRun { folder: plan.folder.clone(), json })
+    tell_losses(&result, plan.launch.is_recorded());
+    let stopped = stopped_by.zip(result.run.stopped_after);
+    let not_arrived = match &result.decided.outcome {
+        Outcome::Drive(drive) => why_not_arrived(drive, &plan.config),
+        _ => None,
+    };
+    Ok(EndedRun { folder: plan.folder.clone(), json, stopped, not_arrived })
+}
+
+/// Why a drive did not arrive; `None` if it did, or if it was to end by its time and did.
+fn why_not_arrived(drive: &SingleDrive, config: &RunConfig) -> Option<String> {
+    let place = format!("at {:.0} % of the path", 100.0 * drive.progress);
+    match &*drive.reason {
+        "goal" => None,
+        "time" if !config.is_to_arrive() => None,
+        "time" => Some(format!("its time was over {place} (drive.loop_time_s)")),
+        "collision" => Some(format!("a collision {place}")),
+        "held" => Some(format!("the vehicle did not follow, {place} (reference.wait_limit_s)")),
+        _ => Some(format!("the gate stopped the vehicle {place}: {}", in_words(&drive.stopped_for))),
+    }
+}
+
+/// Says what recordings lack: nobody looks for that in a log.
+fn tell_losses(result: &RunResult, is_recorded: bool) {
+    match &result.run.recording {
+        Some(recording) => recording.told().iter().for_each(|line| tell!("pathtune: {line}")),
+        None if is_recorded => tell!("pathtune: the recorder was killed: the recording lacks its end"),
+        None => {}
+    }
+    for (name, ticks) in result.decided.outcome.drives_lacking() {
+        tell!("pathtune: drives/{name}.csv lacks {ticks} ticks: not every process sent a message of them");
+    }
 }
 
 /// Joins the outcome with what only the orchestrator knows, and writes `result.json`, by rename, so that nobody reads
 /// half of it.
-fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) -> Result<RunResult, Failure> {
+fn write_result(plan: &Plan, facts: &RunFacts) -> Result<RunResult, Failure> {
+    let Plan { folder, config, .. } = plan;
     let decided = read_decided(folder).map_err(anyhow::Error::from)?;
-    let run = of_run(config, facts)?;
+    let stopped_after = facts.pipeline.stopped_by.map(|_| driven_so_far(&decided.outcome, plan));
+    let run = Run { stopped_after, ..of_run(config, facts) };
     let result = RunResult {
         drives: drives_of(&decided.outcome, config),
         processes: run.processes.clone(),
@@ -54,24 +99,44 @@ fn write_result(folder: &Path, config: &RunConfig, facts: &RunFacts) -> Result<R
     Ok(result)
 }
 
+/// What was driven of a run that was stopped before its end.
+fn driven_so_far(outcome: &Outcome, plan: &Plan) -> String {
+    let sets = |driven: usize, of: usize| format!("{driven} of {of} sets");
+    match outcome {
+        Outcome::Train(it) => format!("{} drives", it.asked),
+        Outcome::Validate(it) => {
+            let named = plan.sweep.as_ref().map_or(0, |sweep| sweep.sets.len());
+            let all = if named == 0 { plan.config.paper_rows().len() } else { named };
+            sets(it.rows.len(), all)
+        }
+        Outcome::Grid(it) => sets(it.size, plan.config.grid().len()),
+        Outcome::Drive(it) => format!("{:.1} s", it.driven_s),
+    }
+}
+
 /// The drives that a run comes to, whichever process had to make them again.
 fn drives_of(outcome: &Outcome, config: &RunConfig) -> Drives {
-    let all = |count: u64| Drives { asked: count, driven: count };
+    let all = |count: u64| Drives { asked: count, driven: count, for_table: 0 };
     match outcome {
-        Outcome::Train(it) if config.run.memo => Drives { asked: it.asked, driven: it.distinct },
-        Outcome::Train(it) => all(it.asked),
+        Outcome::Train(it) => Drives {
+            asked: it.asked,
+            driven: if config.run.memo { it.distinct } else { it.asked },
+            for_table: it.vehicle_drives.map_or(0, |it| it.for_table),
+        },
         Outcome::Validate(it) => all(it.rows.len() as u64 * (1 + it.repeats)),
         Outcome::Grid(it) => all((it.size + it.sets.len()) as u64),
         Outcome::Drive(_) => all(1),
     }
 }
 
-fn of_run(config: &RunConfig, facts: &RunFacts) -> Result<Run, Failure> {
+fn of_run(config: &RunConfig, facts: &RunFacts) -> Run {
     let RunFacts { started_at, ended_at, pipeline } = facts;
-    let PipelineFacts { counts, processes, recovery, wall_s, tick_ns, waiting } = pipeline;
+    let PipelineFacts { counts, processes, recovery, wall_s, tick_ns, recording, waiting, stopped_by: _ } =
+        pipeline;
     let vehicle_s = counts.ticks as f64 * config.drive.tick_s;
     let time = |at: &jiff::Timestamp| at.strftime("%Y-%m-%dT%H:%M:%S.%3fZ").to_string();
-    Ok(Run {
+    Run {
+        stopped_after: None,
         pathtune: env!("CARGO_PKG_VERSION").to_owned(),
         command: std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect(),
         started_at: time(started_at),
@@ -85,13 +150,17 @@ fn of_run(config: &RunConfig, facts: &RunFacts) -> Result<Run, Failure> {
             reissued: counts.reissued,
         },
         processes: processes.clone(),
-        recovery: serde_json::to_value(recovery).context("the recoveries")?,
+        recording: recording.clone(),
+        recovery: *recovery,
         tick_ns: *tick_ns,
         waiting: (*waiting).to_owned(),
-    })
+    }
 }
 
 /// Names the files of an ended run that people will want to open.
+///
+/// # Errors
+/// If the run was stopped before its end.
 pub(crate) fn name_files(ended: &EndedRun, report: Result<PathBuf, String>) -> Result<(), Failure> {
     let here = std::env::current_dir().unwrap_or_default();
     let near = |path: &Path| path.strip_prefix(&here).unwrap_or(path).display().to_string();
@@ -104,5 +173,12 @@ pub(crate) fn name_files(ended: &EndedRun, report: Result<PathBuf, String>) -> R
             say!("{}", near(&report));
         }
     }
-    Ok(())
+    if let Some((signal, after)) = &ended.stopped {
+        let left = format!("stopped after {after}, which is kept in {}", near(&ended.folder));
+        return Err(Failure::Interrupted(*signal, left));
+    }
+    match &ended.not_arrived {
+        None => Ok(()),
+        Some(why) => Err(Failure::NotArrived(why.clone())),
+    }
 }

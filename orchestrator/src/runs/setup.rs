@@ -16,6 +16,7 @@ use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
 use crate::pipeline::services::Services;
 use crate::runs::{folder, preflight};
+use crate::words::terminal::tell;
 use crate::words::{Failure, known};
 
 /// The layers that every command shares: manoeuvre or own path, file, vehicle, law, objective, single keys.
@@ -60,6 +61,11 @@ pub(crate) fn layers(
     }
     for assignment in after {
         layers.set(assignment)?;
+    }
+    // A configuration with a mistake has one message, that of the mistake.
+    let is_told = !args.quiet && layers.borrowed().is_some() && layers.clone().resolve().is_ok();
+    if let Some(borrowed) = layers.borrowed().filter(|_| is_told) {
+        tell!("pathtune: {borrowed}");
     }
     Ok(layers)
 }
@@ -132,7 +138,7 @@ pub(crate) fn launch(
         launch.record(args.record_split);
     }
     for replacement in &args.replace {
-        launch.replace(replacement)?;
+        launch.replace(replacement, args.deterministic)?;
     }
     if let Some(trainer) = trainer {
         launch.prefer_service(Role::Trainer, trainer);
@@ -179,7 +185,7 @@ pub(crate) fn prepare(
     let interrupted = Interrupts::new()?;
     preflight::check_commands(&launch)?;
     sweep_dead_runs();
-    preflight::check_shared_memory(config.fleet().max(config.learners()))?;
+    preflight::check_resources(config.fleet().max(config.learners()))?;
     let folder = match folder {
         Folder::Old(folder) => fs::canonicalize(folder)?,
         Folder::New(name) => preflight::make_folder(&match &args.out {

@@ -6,12 +6,13 @@
 use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, Table};
 use config::{LawConfig, NamedParameters, RunConfig};
+use ipc_types::Safety;
 use outcome::{
-    Comparison, GridResult, MainEffect, Measures, NoiseChoice, Outcome, RankedSet, Run, RunResult,
-    SetStanding, SingleDrive, TrainResult, ValidateResult, ValidatedRow, Verdict,
+    Comparison, GridResult, Interval, MainEffect, Measures, NoiseChoice, Outcome, RankedSet, Run,
+    RunResult, SetStanding, SingleDrive, Spread, TrainResult, ValidateResult, ValidatedRow,
+    VehicleDrives, Verdict,
 };
 
-use crate::pipeline::recovery::Recovery;
 use crate::words::Failure;
 use crate::words::terminal::say;
 
@@ -30,36 +31,41 @@ pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(),
 
 fn print_training(it: &TrainResult, result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
     let RunResult { drives, run, .. } = result;
-    let size = it.grid.map(|grid| grid.size);
-    let measures = MeasureColumns::new(config, size.is_some());
-    let mut table = table_of(&header("", &config.law, measures.header()));
-    let mut row = |name: &str, set: &NamedParameters, judged: &Measures, ranks: Ranks| {
-        let mut cells = vec![name.to_owned()];
-        cells.extend(set_cells(&config.law, std::slice::from_ref(set)));
-        cells.extend(measures.cells(judged, ranks, size.unwrap_or_default()));
-        table.add_row(cells);
-    };
+    let grid_size = it.grid.map_or(0, |grid| grid.size);
+    let measures = MeasureColumns::new(config, it.grid.is_some());
     let ranks = it.grid.map_or(Ranks::default(), |grid| Ranks {
         value: Some(grid.rank_value),
         distance: Some(grid.rank_distance),
         mse: Some(grid.rank_mse),
         path: Some(grid.rank_path),
     });
-    row(&format!("tuned ({})", it.tuner), &it.gains, &it.measures, ranks);
-    if let Some(paper) = &it.paper {
-        row("the paper's set", &paper.gains, &paper.measures, Ranks::of(paper));
-    }
-    for (name, beside) in
-        [("plain Q beside it", &it.plain_q), ("random walk beside it", &it.random_walk)]
-    {
-        if let Some(beside) = beside {
-            row(name, &beside.set.gains, &beside.set.measures, Ranks::of(&beside.set));
-        }
+    let mut rows = vec![TrainingRow {
+        name: format!("tuned ({})", it.tuner),
+        gains: &it.gains,
+        measures: &it.measures,
+        spread: it.spread,
+        off_grid: it.off_grid,
+        ranks,
+    }];
+    rows.extend(it.paper.as_ref().map(|set| TrainingRow::of("the paper's set", set)));
+    let found = [("found by plain Q", &it.plain_q), ("found by a random walk", &it.random_walk)];
+    let found = found.into_iter().filter_map(|(name, it)| Some((name, &it.as_ref()?.set)));
+    rows.extend(found.map(|(name, set)| TrainingRow::of(name, set)));
+
+    let mut table = table_of(&header("", &config.law, measures.header()));
+    for row in &rows {
+        let mut cells = vec![row.name.clone()];
+        cells.extend(set_cells(&config.law, std::slice::from_ref(row.gains)));
+        cells.extend(measures.cells(row.measures, row.ranks, size_with(grid_size, row.off_grid)));
+        table.add_row(cells);
     }
     say!("{table}");
 
-    match &it.grid {
-        Some(grid) => {
+    if let Some(drives) = &it.vehicle_drives {
+        print_vehicle_drives(drives, &rows, config)?;
+    }
+    match (&it.grid, &it.vehicle_drives) {
+        (Some(grid), _) => {
             let of_objective = objective_column(config).map_or(String::new(), |objective| {
                 format!("{objective} {}, ", digits(grid.best_value, 4))
             });
@@ -71,8 +77,13 @@ fn print_training(it: &TrainResult, result: &RunResult, config: &RunConfig) -> R
                 digits(grid.best_mse_m2, 4),
                 digits(grid.best_path_mean_m, 4),
             );
+            note_off_grid(rows.iter().any(|row| row.off_grid), grid.size)?;
         }
-        None => say!(
+        (None, Some(drives)) if drives.by_clock => say!(
+            "not ranked: the vehicle paces by the clock, so the {} sets of the grid are not driven",
+            config.grid().len()
+        ),
+        (None, _) => say!(
             "not ranked: the grid of {} sets takes more ticks than ranking.max_ticks",
             config.grid().len()
         ),
@@ -83,7 +94,7 @@ fn print_training(it: &TrainResult, result: &RunResult, config: &RunConfig) -> R
     }
     if let Some(noise) = &it.noise {
         let rank = it.grid.and_then(|grid| Some((grid.rank_mean?, grid.size)));
-        print_choice_under_noise(noise, rank, config)?;
+        print_choice_by_means(noise, rank, config)?;
     }
     let beside = [("plain Q", &it.plain_q), ("the random walk", &it.random_walk)];
     let beside: Vec<String> = beside
@@ -94,8 +105,12 @@ fn print_training(it: &TrainResult, result: &RunResult, config: &RunConfig) -> R
         true => String::new(),
         false => format!(" ({})", beside.join(", ")),
     };
+    let for_table = match drives.for_table {
+        0 => String::new(),
+        count => format!(", {count} more for this table"),
+    };
     say!(
-        "{} drives asked for{beside}, {} driven, {} again after a crash; the grid holds {}",
+        "{} drives asked for{beside}, {} driven{for_table}, {} again after a crash; the grid holds {}",
         drives.asked,
         drives.driven,
         run.drives.reissued,
@@ -104,23 +119,91 @@ fn print_training(it: &TrainResult, result: &RunResult, config: &RunConfig) -> R
     Ok(())
 }
 
-/// Prints how the set was chosen under noise, and how certain that choice is. `rank` is its place, and among how many.
-fn print_choice_under_noise(
+/// A row of the table of a training.
+struct TrainingRow<'a> {
+    name: String,
+    gains: &'a NamedParameters,
+    measures: &'a Measures,
+    spread: Option<Spread>,
+    off_grid: bool,
+    ranks: Ranks,
+}
+
+impl<'a> TrainingRow<'a> {
+    fn of(name: &str, set: &'a SetStanding) -> Self {
+        let SetStanding { gains, measures, spread, off_grid, .. } = set;
+        let (spread, off_grid) = (*spread, *off_grid);
+        Self { name: name.to_owned(), gains, measures, spread, off_grid, ranks: Ranks::of(set) }
+    }
+}
+
+/// Says whose drives the figures are, and how certain they are if the vehicle does not repeat itself.
+fn print_vehicle_drives(
+    drives: &VehicleDrives,
+    rows: &[TrainingRow],
+    config: &RunConfig,
+) -> Result<(), Failure> {
+    if drives.repeats {
+        say!("all figures are of drives that the vehicle made, none of our simulator");
+        return Ok(());
+    }
+    let of_grid = match drives.of_grid_set {
+        0 => String::new(),
+        count => format!("; each other set of the grid was driven {count} times"),
+    };
+    say!(
+        "all figures are means over drives that the vehicle made, none of our simulator{of_grid}\nthe vehicle does not \
+         repeat itself: the same training comes to another result and digest the next time"
+    );
+    for row in rows {
+        let Some(spread) = &row.spread else { continue };
+        let within = |it: Interval, count| {
+            format!("[{}, {}]", digits(it.low, count), digits(it.high, count))
+        };
+        let of_objective = objective_column(config)
+            .map_or(String::new(), |objective| format!("{objective} {}, ", within(spread.value, 4)));
+        say!(
+            "{}: 95 % intervals over {} drives: {of_objective}distance {}, mse {} m², {} m off the path",
+            row.name,
+            spread.drives,
+            within(spread.distance, 4),
+            within(spread.mse_m2, 4),
+            within(spread.path_mean_m, 4),
+        );
+    }
+    Ok(())
+}
+
+/// How many sets a rank is among: those of the grid, and the set itself if it is none of them.
+fn size_with(grid_size: usize, off_grid: bool) -> usize {
+    grid_size + usize::from(off_grid)
+}
+
+fn note_off_grid(any: bool, size: usize) -> Result<(), Failure> {
+    if any {
+        say!("of {}: a set between those of the grid, ranked as one more", size + 1);
+    }
+    Ok(())
+}
+
+/// Prints how the set was chosen by means, and how certain that choice is. `rank` is its place, and among how many.
+fn print_choice_by_means(
     noise: &NoiseChoice,
     rank: Option<(usize, usize)>,
     config: &RunConfig,
 ) -> Result<(), Failure> {
     let Some(chosen) = noise.finalists.first() else { return Ok(()) };
     let objective = &config.objective.name;
+    let under_noise = if config.noise.enabled { "under noise: " } else { "" };
     say!(
-        "under noise: mean {objective} {} [{}, {}] over {} drives, the best of {} sets driven again",
+        "{under_noise}mean {objective} {} [{}, {}] over {} drives, the best of {} sets driven again",
         digits(chosen.mean_value, 4),
         digits(chosen.low, 4),
         digits(chosen.high, 4),
         noise.repeats,
         noise.finalists.len(),
     );
-    if config.vehicle.gear_engaged {
+    if config.noise.enabled && config.vehicle.gear_engaged {
         say!("all drives, noise-free ones too, began with the drive gear engaged");
     }
     let against = |name: &str, it: &Comparison| -> Result<(), Failure> {
@@ -133,11 +216,12 @@ fn print_choice_under_noise(
             Verdict::Undecided => "not distinguishable from",
         };
         say!(
-            "{verdict} {name}: paired difference {} [{}, {}] over the same {} drives",
+            "{verdict} {name}: {} {} [{}, {}] over {} drives",
+            if config.noise.enabled { "paired difference" } else { "difference" },
             digits(it.difference, 4),
             digits(it.low, 4),
             digits(it.high, 4),
-            noise.repeats,
+            if config.noise.enabled { format!("the same {}", noise.repeats) } else { format!("{} each", noise.repeats) },
         );
         Ok(())
     };
@@ -240,7 +324,7 @@ fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
         };
         let mut cells = vec![name.to_owned()];
         cells.extend(set_cells(&config.law, std::slice::from_ref(&set.gains)));
-        cells.extend(measures.cells(&set.measures, ranks, it.size));
+        cells.extend(measures.cells(&set.measures, ranks, size_with(it.size, set.off_grid)));
         cells.push(set.on_bound.join(", "));
         cells
     };
@@ -267,6 +351,7 @@ fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
         }
         say!("{table}\n");
     }
+    note_off_grid(it.sets.iter().any(|named| named.set.off_grid), it.size)?;
 
     let by_objective = objective.map(|name| format!("by {name}"));
     let mut columns = vec!["sets of the grid within"];
@@ -332,6 +417,8 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
     let reason = match &*it.reason {
         "goal" => "at the path's end",
         "collision" => "in a collision",
+        "held" => "because the vehicle did not follow",
+        "stopped" => "because the gate stopped the vehicle",
         _ => "with its time",
     };
     let poses = if it.true_poses { "true" } else { "measured" };
@@ -339,6 +426,11 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         "{} s driven; it ended {reason}; all figures are of the {poses} poses",
         digits(it.driven_s, 1)
     );
+    for (what, reasons) in [("stopped", &it.stopped_for), ("slowed down", &it.slowed_for)] {
+        if !reasons.is_empty() {
+            say!("the gate {what} the vehicle: {}", in_words(reasons));
+        }
+    }
     if it.joined {
         say!(
             "the controller was restarted during the drive: the figures cover the time since then"
@@ -347,10 +439,14 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Reasons of the gate in words.
+pub(crate) fn in_words(reasons: &[String]) -> String {
+    reasons.iter().map(|name| Safety::words_of(name)).collect::<Vec<_>>().join(", ")
+}
+
 /// Prints the crashes and the speed of a run.
 fn print_how_it_went(run: &Run) -> Result<(), Failure> {
-    let recovery: Recovery =
-        serde_json::from_value(run.recovery.clone()).map_err(anyhow::Error::from)?;
+    let recovery = &run.recovery;
     if recovery.recoveries > 0 {
         let time_ms = recovery.death_to_tick_ms;
         say!(

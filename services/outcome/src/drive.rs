@@ -1,5 +1,7 @@
 //! The result of a single drive.
 
+use std::collections::BTreeMap;
+
 use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,8 +16,14 @@ pub struct SingleDrive {
     /// The set of each manoeuvre, or one for all.
     #[schemars(with = "Vec<ParameterTable>")]
     pub gains: Vec<NamedParameters>,
-    /// Why it ended: `time`, `goal` or `collision`.
+    /// Why it ended: `time`, `goal`, `collision`, `held` (the vehicle did not follow) or `stopped` (by the gate).
     pub reason: String,
+    /// What the gate stopped the vehicle for.
+    #[serde(default)]
+    pub stopped_for: Vec<String>,
+    /// What the gate slowed the vehicle down for, or only told.
+    #[serde(default)]
+    pub slowed_for: Vec<String>,
     /// Seconds that were driven, without stops.
     pub driven_s: f64,
     /// Share of the path, 0 to 1, that had been covered when it ended.
@@ -43,4 +51,7 @@ pub struct SingleDrive {
     pub switches: Vec<Switch>,
     /// The name of its recording in the run's folder `drives`.
     pub drives_recorded: Vec<String>,
+    /// Ticks that a recorded drive lacks, by its name: by the clock, a process that is held up leaves ticks out.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub drives_lacking: BTreeMap<String, u64>,
 }

@@ -1,8 +1,9 @@
 //! The files of a result, read and written.
 
 use std::path::{Path, PathBuf};
-use std::{fs, io};
+use std::io;
 
+use config::read_small;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -52,10 +53,10 @@ pub fn to_json(result: &impl Serialize) -> Vec<u8> {
 
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T, OutcomeError> {
     let text =
-        fs::read(path).map_err(|source| OutcomeError::Io { path: path.to_owned(), source })?;
+        read_small(path).map_err(|source| OutcomeError::Io { path: path.to_owned(), source })?;
     let malformed = |problem: String| OutcomeError::Malformed { path: path.to_owned(), problem };
     let value: serde_json::Value =
-        serde_json::from_slice(&text).map_err(|error| malformed(error.to_string()))?;
+        serde_json::from_str(&text).map_err(|error| malformed(error.to_string()))?;
     match value.get("schema").and_then(serde_json::Value::as_u64) {
         Some(version) if version == u64::from(SCHEMA) => {}
         Some(version) if version < u64::from(SCHEMA) => {
@@ -71,7 +72,7 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<T, OutcomeError> {
         }
     }
     // Parsed from the text again, not from the value, which sorts the parameters by their names.
-    let mut reader = serde_json::Deserializer::from_slice(&text);
+    let mut reader = serde_json::Deserializer::from_str(&text);
     serde_path_to_error::deserialize(&mut reader).map_err(|error| {
         let key = error.path().to_string();
         malformed(match key.as_str() {

@@ -40,6 +40,9 @@ pub struct RankedSet {
     /// The measures of a drive with it.
     #[serde(flatten)]
     pub measures: Measures,
+    /// Whether it lies between the sets of the grid: then it is ranked as if the grid had one set more.
+    #[serde(default)]
+    pub off_grid: bool,
     /// 1 + the number of sets with a smaller value of the objective.
     pub rank_value: usize,
     /// 1 + the number of sets with a smaller distance.

@@ -9,9 +9,12 @@
 mod drive;
 mod file;
 mod grid;
+mod recording;
 mod run;
 mod training;
 mod validation;
+
+use std::collections::BTreeMap;
 
 use config::NamedParameters;
 use schemars::JsonSchema;
@@ -20,10 +23,11 @@ use serde::{Deserialize, Serialize};
 pub use drive::SingleDrive;
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
-pub use run::{Drives, ProcessFacts, Run, RunDrives};
+pub use recording::{RecordingFacts, TopicCounts};
+pub use run::{DeathToTick, Drives, ProcessFacts, Recovery, Run, RunDrives};
 pub use training::{
-    Beside, Comparison, Finalist, GridStanding, LearnerSummary, NoiseChoice, SetStanding,
-    TrainResult, Usage, Verdict,
+    Beside, Comparison, Finalist, GridStanding, Interval, LearnerSummary, NoiseChoice, SetStanding,
+    Spread, TrainResult, Usage, VehicleDrives, Verdict,
 };
 pub use validation::{NoiseFree, Noisy, Switch, ValidateResult, ValidatedRow};
 
@@ -88,6 +92,17 @@ impl Outcome {
             Self::Validate(it) => &it.digest,
             Self::Grid(it) => &it.digest,
             Self::Drive(it) => &it.digest,
+        }
+    }
+
+    /// Ticks that recorded drives lack, by their names.
+    pub fn drives_lacking(&self) -> &BTreeMap<String, u64> {
+        static NONE: BTreeMap<String, u64> = BTreeMap::new();
+        match self {
+            Self::Train(it) => &it.drives_lacking,
+            Self::Validate(it) => &it.drives_lacking,
+            Self::Grid(_) => &NONE,
+            Self::Drive(it) => &it.drives_lacking,
         }
     }
 

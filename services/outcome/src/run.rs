@@ -3,9 +3,14 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::RecordingFacts;
+
 /// The part of a result that differs from run to run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Run {
+    /// What was driven when the run was stopped before its end, as in `3.2 s` or `2 of 5 sets`; null if it was not.
+    #[serde(default)]
+    pub stopped_after: Option<String>,
     /// Version of pathtune that made the run.
     pub pathtune: String,
     /// The command line, word by word.
@@ -24,8 +29,11 @@ pub struct Run {
     pub drives: RunDrives,
     /// The processes, in the order in which they started.
     pub processes: Vec<ProcessFacts>,
+    /// The recording, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recording: Option<RecordingFacts>,
     /// Faults that were injected, and how long recoveries took.
-    pub recovery: serde_json::Value,
+    pub recovery: Recovery,
     /// Mean time of a tick from the request of a batch to its report, in nanoseconds.
     pub tick_ns: f64,
     /// How the processes waited for each other: `yield`, `spin` or `block`.
@@ -39,6 +47,9 @@ pub struct Drives {
     pub asked: u64,
     /// Those that were driven rather than answered from memory.
     pub driven: u64,
+    /// Drives beside them that a training made for its table alone: with a vehicle that is not our simulator.
+    #[serde(default)]
+    pub for_table: u64,
 }
 
 /// The drives that the processes of one run made.
@@ -46,7 +57,7 @@ pub struct Drives {
 pub struct RunDrives {
     /// Drives that were reported, without those of the earlier part of a resumed run.
     pub reported: u64,
-    /// Drives outside the training: of finalists, and of the tuned set for the figures.
+    /// Drives outside the training: of finalists, for the table, and of the tuned set for its recordings.
     pub beside: u64,
     /// Drives that were made again after a crash.
     pub reissued: u64,
@@ -67,4 +78,28 @@ pub struct ProcessFacts {
     pub rejected: u64,
     /// Samples that came too late in real time.
     pub late: u64,
+}
+
+/// Faults and recoveries of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Recovery {
+    /// Faults that were caused on purpose.
+    pub injected: u64,
+    /// Batches that were driven again although no process had died.
+    pub stalls: u64,
+    /// How many times ticks began to flow again.
+    pub recoveries: u64,
+    /// Milliseconds from a death to the next tick.
+    pub death_to_tick_ms: DeathToTick,
+}
+
+/// Percentiles of a time; null if there was no recovery.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct DeathToTick {
+    /// Its median.
+    pub p50: Option<f64>,
+    /// Its 99th percentile.
+    pub p99: Option<f64>,
+    /// Its largest value.
+    pub max: Option<f64>,
 }

@@ -20,10 +20,21 @@ pub struct TrainResult {
     pub gains: NamedParameters,
     /// Names of the parameters that lie on a bound of the grid.
     pub on_bound: Vec<String>,
-    /// The measures of a drive with them, without noise.
+    /// The measures of a drive with them, without noise; means if the vehicle does not repeat itself.
     #[serde(flatten)]
     pub measures: Measures,
-    /// Their standing among all sets of the grid; null if the grid takes too many ticks to be driven.
+    /// How certain these means are; null for a single drive.
+    #[serde(default)]
+    pub spread: Option<Spread>,
+    /// Whether the set lies between the sets of the grid: then it is ranked as if the grid had one set more.
+    #[serde(default)]
+    pub off_grid: bool,
+    /// The drives from which the figures come, if vehicle, controller or supervisor are not ours; null if the figures were
+    /// computed with our simulator.
+    #[serde(default)]
+    pub vehicle_drives: Option<VehicleDrives>,
+    /// Their standing among all sets of the grid; null if the grid was not driven: it takes too many ticks, or the vehicle
+    /// paces by the clock.
     pub grid: Option<GridStanding>,
     /// The set that the paper chose for this manoeuvre; null for another law or path.
     pub paper: Option<SetStanding>,
@@ -31,7 +42,8 @@ pub struct TrainResult {
     pub plain_q: Option<Beside>,
     /// The same training by a random walk, on drives of the grid; null if the grid was not driven.
     pub random_walk: Option<Beside>,
-    /// How the set was chosen under noise; null without noise.
+    /// How the set was chosen by means over several drives: under noise, or with a vehicle that does not repeat itself;
+    /// otherwise null.
     pub noise: Option<NoiseChoice>,
     /// Drives that the learners asked for.
     pub asked: u64,
@@ -41,6 +53,47 @@ pub struct TrainResult {
     pub learners: Vec<LearnerSummary>,
     /// Drives with the tuned parameters whose recordings are in the run's folder `drives`.
     pub drives_recorded: Vec<String>,
+    /// Ticks that a recorded drive lacks, by its name: by the clock, a process that is held up leaves ticks out.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub drives_lacking: BTreeMap<String, u64>,
+}
+
+/// The drives from which figures come, where they are not those of our simulator. All of them are without noise.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct VehicleDrives {
+    /// Whether the same request gives the same drive. If not, figures are means, and another training of the same seed
+    /// comes to another result.
+    pub repeats: bool,
+    /// Whether the vehicle paces by the clock.
+    pub by_clock: bool,
+    /// Drives that were made for the table alone.
+    pub for_table: u64,
+    /// Drives of each set of the grid; 0 if the grid was not driven.
+    pub of_grid_set: u32,
+}
+
+/// How certain the means over several drives of a set are.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Spread {
+    /// Number of drives.
+    pub drives: u32,
+    /// Of the objective's mean.
+    pub value: Interval,
+    /// Of the mean distance.
+    pub distance: Interval,
+    /// Of the mean mse.
+    pub mse_m2: Interval,
+    /// Of the mean of the mean distance from the path.
+    pub path_mean_m: Interval,
+}
+
+/// The 95 % bootstrap interval of a mean.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Interval {
+    /// Its lower end.
+    pub low: f64,
+    /// Its upper end.
+    pub high: f64,
 }
 
 /// The standing of the tuned set among all sets of the grid.
@@ -56,7 +109,8 @@ pub struct GridStanding {
     pub rank_mse: usize,
     /// 1 + the number of sets with a smaller mean distance from the path.
     pub rank_path: usize,
-    /// Rank by the mean of the objective over noise seeds that were not used before; null without noise.
+    /// Rank by the mean of the objective over noise seeds that were not used before; null without noise, and with a vehicle
+    /// that is not our simulator.
     pub rank_mean: Option<usize>,
     /// Least value of the objective.
     pub best_value: f64,
@@ -68,15 +122,21 @@ pub struct GridStanding {
     pub best_path_mean_m: f64,
 }
 
-/// One set, driven without noise.
+/// A set beside the tuned one, driven without noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SetStanding {
     /// The set.
     #[schemars(with = "ParameterTable")]
     pub gains: NamedParameters,
-    /// The measures of a drive with it.
+    /// The measures of a drive with it; means if the vehicle does not repeat itself.
     #[serde(flatten)]
     pub measures: Measures,
+    /// How certain these means are; null for a single drive.
+    #[serde(default)]
+    pub spread: Option<Spread>,
+    /// Whether it lies between the sets of the grid: then it is ranked as if the grid had one set more.
+    #[serde(default)]
+    pub off_grid: bool,
     /// 1 + the number of sets of the grid with a smaller value of the objective.
     pub rank_value: Option<usize>,
     /// 1 + the number of sets of the grid with a smaller distance.
@@ -130,7 +190,7 @@ pub struct Usage {
     pub count: u64,
 }
 
-/// How the set was chosen under noise.
+/// How the set was chosen by means over several drives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NoiseChoice {
     /// Drives of each finalist.
@@ -145,7 +205,7 @@ pub struct NoiseChoice {
     pub against_paper: Option<Comparison>,
 }
 
-/// A set that was driven again under noise.
+/// A set that was driven again.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Finalist {
     /// The set.

@@ -1,5 +1,7 @@
 //! The result of a validation: sets compared with the paper's, without noise and with it.
 
+use std::collections::BTreeMap;
+
 use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,6 +21,9 @@ pub struct ValidateResult {
     pub rms_factor: Option<f64>,
     /// Drives whose recordings are in the run's folder `drives`.
     pub drives_recorded: Vec<String>,
+    /// Ticks that a recorded drive lacks, by its name: by the clock, a process that is held up leaves ticks out.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub drives_lacking: BTreeMap<String, u64>,
 }
 
 /// One set, or one set for each manoeuvre of the path.

@@ -1,13 +1,16 @@
 //! The files of a run, read: its result, its texts, its tables of comma-separated values.
 
-use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
 
+use config::{open_regular, read_small};
 use outcome::{OutcomeError, RESULT_FILE, RunResult};
 use serde::de::DeserializeOwned;
 
 use crate::ReportError;
+
+/// The largest table that is read: a run of many hours.
+const MOST_BYTES: u64 = 256 << 20;
 
 /// Reads the result of a run that has ended.
 pub(crate) fn read_result(run: &Path) -> Result<RunResult, ReportError> {
@@ -31,9 +34,8 @@ pub(crate) fn read_required(
     advice: &'static str,
 ) -> Result<String, ReportError> {
     let path = run.join(file);
-    match fs::read(&path) {
-        Ok(bytes) => String::from_utf8(bytes)
-            .map_err(|_| ReportError::malformed(&path, None, "the text is not UTF-8")),
+    match read_small(&path) {
+        Ok(text) => Ok(text),
         Err(error) if error.kind() == ErrorKind::NotFound => {
             Err(ReportError::Missing { folder: run.to_owned(), file, advice })
         }
@@ -48,12 +50,16 @@ pub(crate) fn read_table<T: DeserializeOwned>(
     path: &Path,
     mut take: impl FnMut(T) -> Result<(), String>,
 ) -> Result<bool, ReportError> {
-    let bytes = match fs::read(path) {
-        Ok(bytes) => bytes,
+    let file = match open_regular(path) {
+        Ok(file) => file,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
         Err(problem) => return Err(ReportError::Read { path: path.to_owned(), problem }),
     };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
+    if file.metadata().is_ok_and(|meta| meta.len() > MOST_BYTES) {
+        let problem = format!("it holds more than {} MiB", MOST_BYTES >> 20);
+        return Err(ReportError::malformed(path, None, problem));
+    }
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(file);
     let headers = reader.headers().map_err(|error| at(path, &error))?.clone();
     let mut record = csv::StringRecord::new();
     while reader.read_record(&mut record).map_err(|error| at(path, &error))? {

@@ -100,7 +100,12 @@ fn best_sets(grid: &GridResult, config: &RunConfig) -> Markup {
             .into_iter()
             .any(|sets| sets.iter().take(TOP).any(is_on_bound));
     html! {
-        p { "All " (integer(size as u64)) " sets of the grid were driven, noise-free." }
+        p {
+            @if size == config.grid().len() { "All " (integer(size as u64)) } @else {
+                (integer(size as u64)) " of the " (integer(config.grid().len() as u64))
+            }
+            " sets of the grid were driven, noise-free."
+        }
         @if any_on_bound { p { "† On a bound of the grid; better values may lie beyond it." } }
         @if !grid.sets.is_empty() { h3 { "Named sets" } (named(&grid.sets)) }
         h3 { "By " (config.objective.name) ", the objective" }

@@ -163,6 +163,7 @@ mod tests {
                 scale: Scale::Log,
                 default: 1.0,
                 grid: Axis { min: 0.1, max: 10.0, step: 10.0 },
+                for_wheelbase_m: None,
             })
             .collect();
         let set = |factor: f64| -> Value {

@@ -32,6 +32,9 @@ impl Page {
             h1 { (title) }
             dl.facts {
                 dt { "Manoeuvre" } dd { (maneuver) }
+                @if let Some(after) = &result.run.stopped_after {
+                    dt { "Stopped" } dd { "after " (after) ", before its end" }
+                }
                 dt { "Kind" } dd {
                     (kind) @if matches!(outcome, Outcome::Train(_)) { ", " (noise) }
                 }

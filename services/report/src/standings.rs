@@ -15,6 +15,8 @@ pub(crate) struct Row<'a> {
     pub(crate) gains: &'a NamedParameters,
     pub(crate) measures: &'a Measures,
     pub(crate) ranks: Ranks,
+    /// Whether it lies between the sets of the grid: then it is ranked as one more.
+    pub(crate) off_grid: bool,
     /// Names of the parameters that lie on a bound of the grid.
     pub(crate) on_bound: &'a [String],
 }
@@ -64,14 +66,16 @@ impl From<&SetStanding> for Ranks {
 impl<'a> Row<'a> {
     /// A set of the grid.
     pub(crate) fn of_grid(name: impl Into<String>, set: &'a RankedSet) -> Self {
-        let RankedSet { gains, measures, on_bound, .. } = set;
-        Self { name: name.into(), gains, measures, ranks: set.into(), on_bound }
+        let RankedSet { gains, measures, on_bound, off_grid, .. } = set;
+        let (ranks, off_grid) = (set.into(), *off_grid);
+        Self { name: name.into(), gains, measures, ranks, off_grid, on_bound }
     }
 
     /// A set with which the tuned one is compared.
     pub(crate) fn beside(name: impl Into<String>, set: &'a SetStanding) -> Self {
-        let SetStanding { gains, measures, .. } = set;
-        Self { name: name.into(), gains, measures, ranks: set.into(), on_bound: &[] }
+        let SetStanding { gains, measures, off_grid, .. } = set;
+        let (ranks, off_grid) = (set.into(), *off_grid);
+        Self { name: name.into(), gains, measures, ranks, off_grid, on_bound: &[] }
     }
 }
 
@@ -117,7 +121,8 @@ pub(crate) fn standings<'a>(
     let shows_mse = !is_objective(config, "mse");
     let ranked = usize::from(size.is_some());
     let rank_head = html! { @if size.is_some() { th.number { "rank" } } };
-    let rank_cell = |rank: Option<usize>| {
+    let rank_cell = |row: &Row, rank: Option<usize>| {
+        let size = size.map(|size| size + usize::from(row.off_grid));
         html! {
             @if let Some(size) = size {
                 td.number {
@@ -151,10 +156,10 @@ pub(crate) fn standings<'a>(
                 tr {
                     td { (row.name) }
                     (parameter_cells_marked(&config.law, row.gains, row.on_bound))
-                    td.number { (number(row.measures.value, 4)) } (rank_cell(row.ranks.value))
-                    (path_cells(row.measures)) (rank_cell(row.ranks.path))
-                    @if shows_distance { td.number { (number(row.measures.distance, 4)) } (rank_cell(row.ranks.distance)) }
-                    @if shows_mse { td.number { (number(row.measures.mse_m2, 4)) } (rank_cell(row.ranks.mse)) }
+                    td.number { (number(row.measures.value, 4)) } (rank_cell(&row, row.ranks.value))
+                    (path_cells(row.measures)) (rank_cell(&row, row.ranks.path))
+                    @if shows_distance { td.number { (number(row.measures.distance, 4)) } (rank_cell(&row, row.ranks.distance)) }
+                    @if shows_mse { td.number { (number(row.measures.mse_m2, 4)) } (rank_cell(&row, row.ranks.mse)) }
                     td { (arrived(row.measures)) }
                 }
             }

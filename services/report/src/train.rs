@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use config::{LawConfig, RunConfig};
 use maud::{Markup, html};
-use outcome::{Comparison, LearnerSummary, NoiseChoice, RunResult, TrainResult, Verdict};
+use outcome::{
+    Comparison, LearnerSummary, NoiseChoice, RunResult, TrainResult, VehicleDrives, Verdict,
+};
 
 use crate::ReportError;
 use crate::axis::{Axis, integer, number, optional, short};
@@ -49,8 +51,9 @@ pub(crate) fn sections(
         page.section("Parameter usage", html! { div.figures { (figure) } });
     }
     if let Some(noise) = &train.noise {
-        let body = under_noise(page, noise, train.grid.is_some(), config)?;
-        page.section("Finalists under noise", body);
+        let has_rank = train.grid.is_some_and(|grid| grid.rank_mean.is_some());
+        let body = finalists(page, noise, has_rank, config)?;
+        page.section(if config.noise.enabled { "Finalists under noise" } else { "Finalists" }, body);
     }
     Ok(())
 }
@@ -66,19 +69,23 @@ fn result(
         gains: &train.gains,
         measures: &train.measures,
         ranks: train.grid.as_ref().map(Ranks::from).unwrap_or_default(),
+        off_grid: train.off_grid,
         on_bound: &train.on_bound,
     };
     let rows = [
         Some(tuned),
         train.paper.as_ref().map(|set| Row::beside("the paper’s set", set)),
-        train.plain_q.as_ref().map(|it| Row::beside("plain Q beside it", &it.set)),
-        train.random_walk.as_ref().map(|it| Row::beside("random walk beside it", &it.set)),
+        train.plain_q.as_ref().map(|it| Row::beside("found by plain Q", &it.set)),
+        train.random_walk.as_ref().map(|it| Row::beside("found by a random walk", &it.set)),
     ];
     html! {
         (standings(config, train.grid.as_ref().map(|grid| grid.size), rows.into_iter().flatten()))
         (notes(train, run, config))
         @match episodes {
             None => p { "The run’s folder holds no " code { (EPISODES_FILE) } ", so the progress of the learners is not shown." },
+            Some(all) if all.iter().all(Vec::is_empty) && train.learners.iter().all(|it| it.episodes == 0) => {
+                p { "The tuner " (train.tuner) " has no episodes; " code { "drives.csv" } " holds its steps." }
+            }
             Some(all) if all.iter().all(Vec::is_empty) => {
                 p { code { (EPISODES_FILE) } " holds no episode, so the progress of the learners is not shown." }
             }
@@ -90,10 +97,10 @@ fn result(
 /// What the figures do and do not say.
 fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
     let RunResult { drives, run, .. } = run;
-    let count = |key: &str| run.recovery.get(key).and_then(|value| value.as_u64()).unwrap_or(0);
     let objective = config.objective.name.as_str();
     html! {
         ul {
+            @if let Some(drives) = &train.vehicle_drives { (vehicle_drives(drives, train)) }
             @if let Some(grid) = &train.grid {
                 li {
                     "Ranks are among all " (integer(grid.size as u64)) " sets of the grid, noise-free; its best: "
@@ -107,6 +114,8 @@ fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
                         (integer(grid.size as u64)) "."
                     }
                 }
+            } @else if train.vehicle_drives.is_some_and(|drives| drives.by_clock) {
+                li { "There are no ranks: the vehicle paces by the clock, so the sets of the grid are not driven." }
             } @else {
                 li {
                     "There are no ranks: the grid takes more ticks than ranking.max_ticks ("
@@ -134,6 +143,7 @@ fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
             li {
                 (integer(drives.asked)) " drives asked for, " (integer(drives.driven)) " driven, "
                 (integer(run.drives.reissued)) " again after a crash"
+                @if drives.for_table > 0 { ", " (integer(drives.for_table)) " more for the table" }
                 @if let Some(grid) = &train.grid { "; the grid holds " (integer(grid.size as u64)) }
                 "."
                 @for (name, beside) in [("Plain Q", &train.plain_q), ("The random walk", &train.random_walk)] {
@@ -142,12 +152,40 @@ fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
                     }
                 }
             }
-            @if count("recoveries") > 0 {
-                li { (integer(count("injected"))) " faults injected, " (integer(count("recoveries"))) " recoveries." }
+            @if run.recovery.recoveries > 0 {
+                li { (integer(run.recovery.injected)) " faults injected, " (integer(run.recovery.recoveries)) " recoveries." }
             }
             li {
                 (number(run.vehicle_s, 0)) " s of driving in " (number(run.wall_s, 1)) " s: "
                 (number(run.real_time_factor, 0)) " × real time."
+            }
+        }
+    }
+}
+
+/// Whose drives the figures are, and how certain they are if the vehicle does not repeat itself.
+fn vehicle_drives(drives: &VehicleDrives, train: &TrainResult) -> Markup {
+    let paper = train.paper.as_ref().and_then(|set| set.spread);
+    let spreads = [("The tuned set", train.spread), ("The paper’s set", paper)];
+    let within = |it: outcome::Interval, digits| html! { "[" (number(it.low, digits)) ", " (number(it.high, digits)) "]" };
+    html! {
+        li {
+            "All figures are of drives that the vehicle made, none of our simulator."
+            @if !drives.repeats {
+                " It does not repeat itself: the figures are means, and the same training comes to another result and digest "
+                "the next time."
+                @if drives.of_grid_set > 0 {
+                    " Each other set of the grid was driven " (integer(drives.of_grid_set.into())) " times."
+                }
+            }
+        }
+        @for (name, spread) in spreads {
+            @if let Some(spread) = spread {
+                li {
+                    (name) ", 95 % intervals over " (integer(spread.drives.into())) " drives: objective "
+                    (within(spread.value, 4)) ", distance " (within(spread.distance, 4)) ", mse " (within(spread.mse_m2, 4))
+                    " m², mean distance from the path " (within(spread.path_mean_m, 3)) " m."
+                }
             }
         }
     }
@@ -241,10 +279,13 @@ fn learner_table(learners: &[LearnerSummary], config: &RunConfig) -> Markup {
             locked.map(|(key, value)| format!("{} {}", symbol(law, key), short(*value))).collect();
         if texts.is_empty() { "–".to_owned() } else { texts.join(", ") }
     };
+    // Not every tuner has episodes.
+    let has_episodes = learners.iter().any(|learner| learner.episodes > 0);
     table(
         html! { tr {
             th { "learner" } (parameter_heads(law)) th { "locked" }
-            th.number { "episodes" } th.number { "ended by a terminal state" } th.number { "drives" }
+            @if has_episodes { th.number { "episodes" } th.number { "ended by a terminal state" } }
+            th.number { "drives" }
             th.number { "best " (objective_title(config)) }
         } },
         html! {
@@ -253,8 +294,10 @@ fn learner_table(learners: &[LearnerSummary], config: &RunConfig) -> Markup {
                     td { (name_of(index, learner)) }
                     (parameter_cells(law, &learner.gains))
                     td { (locked(learner)) }
-                    td.number { (integer(learner.episodes.into())) }
-                    td.number { (integer(learner.terminated.into())) }
+                    @if has_episodes {
+                        td.number { (integer(learner.episodes.into())) }
+                        td.number { (integer(learner.terminated.into())) }
+                    }
                     td.number { (integer(learner.drives.into())) }
                     td.number { (optional(learner.best, 4)) }
                 }
@@ -283,13 +326,14 @@ fn usage(learners: &[LearnerSummary], law: &LawConfig) -> Vec<Panel> {
     panels
 }
 
-fn under_noise(
+fn finalists(
     page: &mut Page,
     noise: &NoiseChoice,
-    has_ranks: bool,
+    has_rank: bool,
     config: &RunConfig,
 ) -> Result<Markup, ReportError> {
     let law = &config.law;
+    let is_noisy = config.noise.enabled;
     let title = objective_title(config);
     let finalists = &noise.finalists;
     let figure = if finalists.is_empty() {
@@ -311,21 +355,24 @@ fn under_noise(
                 high: finalist.high,
             })
             .collect();
-        let words = "Mean objective of each finalist under noise, with its interval.";
+        let words = "Mean objective of each finalist, with its interval.";
         let picture = intervals("finalists", words, &format!("mean {title}"), &rows)?;
         let caption = format!(
-            "The finalists under noise: mean {} with its 95 % interval.",
+            "The finalists: mean {} with its 95 % interval.",
             config.objective.name
         );
         Some(page.figure(picture, &caption))
     };
     Ok(html! {
         p {
-            "Each finalist was driven again under noise, " (integer(noise.repeats))
-            " times, each time with the same noise for all of them, and the set with the best mean was chosen."
-            @if has_ranks { " Its rank by the mean is over " (integer(noise.holdout.into())) " other noise seeds." }
-            " The drive gear was engaged from the start, unless the configuration says otherwise; therefore even the "
-            "noise-free figures differ from those of a validation."
+            "Each finalist was driven again" @if is_noisy { " under noise" } ", " (integer(noise.repeats)) " times"
+            @if is_noisy { ", each time with the same noise for all of them" }
+            ", and the set with the best mean was chosen."
+            @if has_rank { " Its rank by the mean is over " (integer(noise.holdout.into())) " other noise seeds." }
+            @if is_noisy {
+                " The drive gear was engaged from the start, unless the configuration says otherwise; therefore even the "
+                "noise-free figures differ from those of a validation."
+            }
         }
         @if let Some(against) = &noise.against_paper { (comparison("the paper’s set", against, config)) }
         (comparison("the set that the tuner recommends by single drives", &noise.against_recommended, config))

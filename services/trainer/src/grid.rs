@@ -7,6 +7,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use config::{ConfigError, Parameters, RunConfig, SweepPlan};
 use outcome::{Flatness, GridResult, MainEffect, Measures, NamedSet, RankedSet, ValueMean};
+use tracking::DriveRecord;
 
 use crate::Ranking;
 use crate::digest::digest_of_drives;
@@ -59,21 +60,26 @@ impl GridSweep {
             .collect()
     }
 
-    /// The result of the reports of [`GridSweep::drives`]; writes `grid.csv` into the run's folder.
+    /// The result of [`GridSweep::drives`], as far as they were made; writes `grid.csv` into the run's folder.
     ///
     /// # Errors
     /// If that file cannot be written.
-    pub fn finish(&self, folder: &Path, driven: &[Driven]) -> Result<GridResult> {
+    pub fn finish(&self, folder: &Path, driven: &[Option<Driven>]) -> Result<GridResult> {
         let (of_grid, of_named) = driven.split_at(self.config.grid().len());
-        let records = of_grid.iter().map(|driven| driven.record).collect();
-        let ranking = Ranking::of_drives(&self.config, records);
+        let records: Vec<Option<DriveRecord>> =
+            of_grid.iter().map(|driven| driven.map(|driven| driven.record)).collect();
+        let ranking = Ranking::of_some(&self.config, &records);
+        let size = records.iter().flatten().count();
         let path = folder.join(GRID_FILE);
         self.write(&path, &ranking).with_context(|| format!("failed to write {path:?}"))?;
         let measures = ranking.measures();
         let law = &self.config.law;
         Ok(GridResult {
-            digest: digest_of_drives(driven, law.count()),
-            size: ranking.len(),
+            digest: digest_of_drives(
+                &driven.iter().flatten().copied().collect::<Vec<_>>(),
+                law.count(),
+            ),
+            size,
             best: self.best(&ranking, [VALUE, MSE]),
             best_by_distance: self.best(&ranking, [DISTANCE, MSE]),
             best_by_mse: self.best(&ranking, [MSE, DISTANCE]),
@@ -82,9 +88,9 @@ impl GridSweep {
                 .named
                 .iter()
                 .zip(of_named)
-                .map(|((name, set), driven)| NamedSet {
-                    name: (*name).to_owned(),
-                    set: self.ranked(&ranking, set, driven),
+                .filter_map(|((name, set), driven)| {
+                    let set = self.ranked(&ranking, set, &driven.as_ref()?.record);
+                    Some(NamedSet { name: (*name).to_owned(), set })
                 })
                 .collect(),
             flatness: [0.01, 0.02, 0.05, 0.1, 0.2]
@@ -96,35 +102,38 @@ impl GridSweep {
                     sets_by_path: within(measures, PATH, share),
                 })
                 .to_vec(),
-            main_effects: main_effects(&self.config, measures),
+            // Only in a whole grid does each value of a parameter occur with all values of the others.
+            main_effects: if size == ranking.len() {
+                main_effects(&self.config, measures)
+            } else {
+                BTreeMap::new()
+            },
         })
     }
 
     /// The best sets by the first measure; ties go to the second, then to the lower number.
     fn best(&self, ranking: &Ranking, by: [Measure; 2]) -> Vec<RankedSet> {
         let (grid, measures) = (ranking.grid(), ranking.measures());
-        let mut order: Vec<usize> = (0..measures.len()).collect();
+        let mut order: Vec<usize> =
+            (0..measures.len()).filter(|set| was_driven(&measures[*set])).collect();
         order.sort_by(|&a, &b| {
             let compared = by.map(|by| by(&measures[a]).total_cmp(&by(&measures[b])));
             compared[0].then(compared[1]).then(a.cmp(&b))
         });
         let best = order.into_iter().take(BEST).map(|index| grid.set(grid.position(index)));
-        best.map(|set| {
-            let record = ranking.drive(&set);
-            self.ranked(ranking, &set, &Driven { record, report: Default::default() })
-        })
-        .collect()
+        best.map(|set| self.ranked(ranking, &set, &ranking.drive(&set))).collect()
     }
 
-    fn ranked(&self, ranking: &Ranking, set: &Parameters, driven: &Driven) -> RankedSet {
-        let drive = &driven.record;
+    fn ranked(&self, ranking: &Ranking, set: &Parameters, drive: &DriveRecord) -> RankedSet {
+        let measures = ranking.measures_of(drive);
         RankedSet {
             gains: self.config.law.named(set),
-            measures: ranking.measures_of(drive),
-            rank_value: ranking.rank_by(VALUE, drive),
-            rank_distance: ranking.rank_by(DISTANCE, drive),
-            rank_mse: ranking.rank_by(MSE, drive),
-            rank_path: ranking.rank_by(PATH, drive),
+            measures,
+            off_grid: ranking.is_off_grid(set),
+            rank_value: ranking.rank_by(VALUE, &measures),
+            rank_distance: ranking.rank_by(DISTANCE, &measures),
+            rank_mse: ranking.rank_by(MSE, &measures),
+            rank_path: ranking.rank_by(PATH, &measures),
             on_bound: on_bound(&self.config, set),
         }
     }
@@ -136,7 +145,8 @@ impl GridSweep {
         let measures = ["value", "distance", "mse_m2", "path_mean_m", "path_p95_m", "path_max_m"];
         writer.write_record(self.config.law.keys().chain(measures).chain(["arrived"]))?;
         let grid = ranking.grid();
-        for (position, it) in grid.positions().zip(ranking.measures()) {
+        let driven = grid.positions().zip(ranking.measures()).filter(|(_, it)| was_driven(it));
+        for (position, it) in driven {
             let set = grid.set(position);
             let measures =
                 [it.value, it.distance, it.mse_m2, it.path_mean_m, it.path_p95_m, it.path_max_m];
@@ -148,6 +158,11 @@ impl GridSweep {
         drop(writer);
         Ok(fs::rename(part, path)?)
     }
+}
+
+/// Whether the set with these measures was driven.
+fn was_driven(measures: &Measures) -> bool {
+    measures.path_mean_m.is_finite()
 }
 
 /// Number of sets that exceed the best value by at most this share of it.

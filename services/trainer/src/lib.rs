@@ -7,11 +7,18 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
+mod checkpoint;
 mod digest;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod grid;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod journal;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
+mod own_drives;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
+mod own_file;
+mod packing;
 mod q_learner;
 mod q_learning;
 mod ranking;
@@ -39,9 +46,10 @@ mod wire;
 
 pub use digest::digest;
 pub use grid::{GRID_FILE, GridSweep};
+pub use own_drives::{NeedsScales, OwnDrives};
 pub use ranking::{Ranking, grid_is_driven, objective_of};
 pub use recording::Row;
-pub use result::train_result;
+pub use result::{Choice, train_result};
 pub use robust::{Finalists, rank_mean};
 pub use single::SingleDrive;
 pub use statistics::Estimate;

@@ -1,12 +1,13 @@
-//! The exhaustive grid: every set, driven by plain calls, as a yardstick for a training.
+//! The exhaustive grid as a yardstick for a training: every set, driven by plain calls, or by the vehicle itself.
 
 use std::cmp::Ordering;
 
 use config::{Grid, Parameters, RunConfig};
-use outcome::Measures;
+use outcome::{Measures, Spread};
 use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
+use crate::own_drives::{OwnDrives, mean_of, spread_of};
 use crate::training::by_values;
 
 /// Whether the whole grid of a configuration is driven: it must take at most `ranking.max_ticks` ticks. The limit is a
@@ -22,14 +23,27 @@ pub fn objective_of(config: &RunConfig) -> Objective {
     if objective.needs_grid() { *Ranking::by_rollout(config).objective() } else { objective }
 }
 
-/// The noise-free drive of every set of the grid, if the grid is driven; and the objective.
+/// The noise-free drives of every set of the grid, if the grid is driven; and the objective.
 #[derive(Debug, Clone)]
 pub struct Ranking {
     config: RunConfig,
     grid: Grid,
     objective: Objective,
+    /// A drive of each set.
     drives: Vec<DriveRecord>,
+    /// The measures of each set: of its drive, or the means of its drives.
     measures: Vec<Measures>,
+    /// The drives of a vehicle that is not our simulator; `None` where a drive that is not known can be computed.
+    own: Option<OwnDrives>,
+}
+
+/// The figures of a set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Figures {
+    /// Its measures, or their means over several drives.
+    pub(crate) measures: Measures,
+    /// How certain these means are; `None` for a single drive.
+    pub(crate) spread: Option<Spread>,
 }
 
 impl Ranking {
@@ -53,7 +67,31 @@ impl Ranking {
         }
         let weight = config.learning.heading_weight;
         let measures = drives.iter().map(|drive| measures_of(&objective, weight, drive)).collect();
-        Self { config: config.clone(), grid: config.grid(), objective, drives, measures }
+        Self { config: config.clone(), grid: config.grid(), objective, drives, measures, own: None }
+    }
+
+    /// A ranking by the drives of some sets of the grid, in its order: all others are worse.
+    pub(crate) fn of_some(config: &RunConfig, drives: &[Option<DriveRecord>]) -> Self {
+        let mut ranking = Self::of_drives(config, drives.iter().flatten().copied().collect());
+        let mut measures = ranking.measures.into_iter();
+        let each = drives.iter().map(|drive| drive.and_then(|_| measures.next()));
+        ranking.measures = each.map(|it| it.unwrap_or(NOT_DRIVEN)).collect();
+        ranking.drives = drives.iter().map(|drive| drive.unwrap_or_default()).collect();
+        ranking
+    }
+
+    /// A ranking by the drives of a vehicle that is not our simulator: of all sets of the grid, or without ranks.
+    pub(crate) fn of_vehicle(config: &RunConfig, own: OwnDrives) -> Self {
+        let grid = config.grid();
+        let first = |set: Parameters| own.of(&set).first().copied();
+        let drives: Option<Vec<DriveRecord>> =
+            grid.positions().map(|position| first(grid.set(position))).collect();
+        let mut ranking = Self::of_drives(config, drives.unwrap_or_default());
+        ranking.own = Some(own);
+        let figures = |index| ranking.figures(&grid.set(grid.position(index)));
+        let of_grid = (0..ranking.len()).map(|index| figures(index).expect("just driven").measures);
+        ranking.measures = of_grid.collect();
+        ranking
     }
 
     /// The objective by which a drive is judged.
@@ -76,15 +114,36 @@ impl Ranking {
         self.drives.is_empty()
     }
 
-    /// The noise-free drive of a set; it is driven now if it was not driven before.
+    /// Number of a set in the grid, unless it lies between the sets of the grid.
+    fn index_of(&self, parameters: &Parameters) -> Option<usize> {
+        let position = self.grid.find(parameters)?;
+        (self.grid.set(position) == *parameters).then(|| self.grid.index(position))
+    }
+
+    /// Whether a set lies between the sets of the grid.
+    pub(crate) fn is_off_grid(&self, parameters: &Parameters) -> bool {
+        self.index_of(parameters).is_none()
+    }
+
+    /// The noise-free drive of a set; it is computed now if it was not driven before.
+    ///
+    /// # Panics
+    /// If the drives are those of a vehicle that is not our simulator, and it has not driven this set.
     pub fn drive(&self, parameters: &Parameters) -> DriveRecord {
-        let of_grid = self
-            .grid
-            .find(parameters)
-            .filter(|position| self.grid.set(*position) == *parameters)
-            .and_then(|position| self.drives.get(self.grid.index(position)));
-        let drive = || Rollout::new(&self.config).drive(*parameters, None);
-        of_grid.copied().unwrap_or_else(drive)
+        let of_grid = self.index_of(parameters).and_then(|index| self.drives.get(index));
+        of_grid.copied().unwrap_or_else(|| match &self.own {
+            Some(own) => own.of(parameters)[0],
+            None => Rollout::new(&self.config).drive(*parameters, None),
+        })
+    }
+
+    /// The figures of a set; `None` if a vehicle that is not our simulator has not driven it.
+    pub(crate) fn figures(&self, parameters: &Parameters) -> Option<Figures> {
+        let Some(own) = &self.own else {
+            return Some(Figures { measures: self.measures_of(&self.drive(parameters)), spread: None });
+        };
+        let all: Vec<Measures> = own.of(parameters).iter().map(|it| self.measures_of(it)).collect();
+        (!all.is_empty()).then(|| Figures { measures: mean_of(&all), spread: spread_of(&all) })
     }
 
     /// The measures of a drive.
@@ -97,9 +156,9 @@ impl Ranking {
         &self.measures
     }
 
-    /// Rank of a drive by one measure: 1 + the number of sets of the grid that are strictly better.
-    pub fn rank_by(&self, measure: impl Fn(&Measures) -> f64, drive: &DriveRecord) -> usize {
-        let own = measure(&self.measures_of(drive));
+    /// Rank by one measure: 1 + the number of sets of the grid that are strictly better.
+    pub fn rank_by(&self, measure: impl Fn(&Measures) -> f64, of: &Measures) -> usize {
+        let own = measure(of);
         1 + self.measures.iter().filter(|it| measure(it) < own).count()
     }
 
@@ -117,6 +176,17 @@ impl Ranking {
             .then_with(|| by_values(a, b))
     }
 }
+
+/// The measures of a set that was not driven.
+const NOT_DRIVEN: Measures = Measures {
+    value: f64::INFINITY,
+    distance: f64::INFINITY,
+    mse_m2: f64::INFINITY,
+    path_mean_m: f64::INFINITY,
+    path_p95_m: f64::INFINITY,
+    path_max_m: f64::INFINITY,
+    arrived: false,
+};
 
 /// The measures of a drive.
 pub(crate) fn measures_of(

@@ -1,12 +1,16 @@
 //! The result of a training.
 
+use std::collections::BTreeMap;
+
 use config::{Parameters, RunConfig};
 use outcome::{
     Beside, Decided, GridStanding, NoiseChoice, Outcome, SCHEMA, SetStanding, TrainResult,
+    VehicleDrives,
 };
 use tracking::Objective;
 
 use crate::digest::digest;
+use crate::ranking::Figures;
 use crate::training::train_offline;
 use crate::{Ranking, Training};
 
@@ -23,46 +27,68 @@ pub(crate) fn decided(config: &RunConfig, outcome: Outcome) -> Decided {
     }
 }
 
-/// The result of a finished training, compared with the grid if that was driven. Under noise the best of the finalists
-/// is chosen, ranked by its mean if the grid was driven; otherwise the set that the tuner recommends.
+/// The set that a training comes to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Choice {
+    /// The set.
+    pub parameters: Parameters,
+    /// How it was chosen by means; `None` if it is what the tuner recommends.
+    pub by_means: Option<NoiseChoice>,
+    /// Its rank by the mean over further noise seeds, if it has one.
+    pub rank_mean: Option<usize>,
+}
+
+impl Choice {
+    /// The set that the tuner recommends.
+    pub fn recommended(parameters: Parameters) -> Self {
+        Self { parameters, by_means: None, rank_mean: None }
+    }
+}
+
+/// The result of a finished training, compared with the grid if that was driven. `drives` describes the drives of a
+/// ranking by those of a vehicle that is not our simulator.
+///
+/// # Panics
+/// If such a vehicle has not driven the set that was chosen.
 pub fn train_result(
     config: &RunConfig,
     training: &Training,
     ranking: &Ranking,
-    noise: Option<(NoiseChoice, Parameters, Option<usize>)>,
+    choice: Choice,
+    drives: Option<VehicleDrives>,
 ) -> TrainResult {
-    let recommended = || training.tuner().recommend(&|a, b| ranking.compare(a, b));
-    let (choice, parameters, rank_mean) = match noise {
-        Some((choice, parameters, rank_mean)) => (Some(choice), parameters, rank_mean),
-        None => (None, recommended(), None),
-    };
-    let drive = ranking.drive(&parameters);
+    let Choice { parameters, by_means, rank_mean } = choice;
+    let Figures { measures, spread } = ranking.figures(&parameters).expect("the choice is driven");
     TrainResult {
         tuner: config.learning.tuner.clone(),
         digest: digest(training),
         gains: config.law.named(&parameters),
         on_bound: on_bound(config, &parameters),
-        measures: ranking.measures_of(&drive),
+        measures,
+        spread,
+        off_grid: ranking.is_off_grid(&parameters),
+        vehicle_drives: drives,
         grid: (!ranking.is_empty()).then(|| GridStanding {
             size: ranking.len(),
-            rank_value: ranking.rank_by(|it| it.value, &drive),
-            rank_distance: ranking.rank_by(|it| it.distance, &drive),
-            rank_mse: ranking.rank_by(|it| it.mse_m2, &drive),
-            rank_path: ranking.rank_by(|it| it.path_mean_m, &drive),
+            rank_value: ranking.rank_by(|it| it.value, &measures),
+            rank_distance: ranking.rank_by(|it| it.distance, &measures),
+            rank_mse: ranking.rank_by(|it| it.mse_m2, &measures),
+            rank_path: ranking.rank_by(|it| it.path_mean_m, &measures),
             rank_mean,
             best_value: ranking.best_by(|it| it.value),
             best_distance: ranking.best_by(|it| it.distance),
             best_mse_m2: ranking.best_by(|it| it.mse_m2),
             best_path_mean_m: ranking.best_by(|it| it.path_mean_m),
         }),
-        paper: config.paper_set().map(|set| standing(config, &set, ranking)),
+        paper: config.paper_set().and_then(|set| standing(config, &set, ranking)),
         plain_q: beside("q", config, ranking),
         random_walk: beside("random-walk", config, ranking),
-        noise: choice,
+        noise: by_means,
         asked: training.asked_drives(),
         distinct: training.distinct_drives(),
         learners: training.tuner().story(),
         drives_recorded: Vec::new(),
+        drives_lacking: BTreeMap::new(),
     }
 }
 
@@ -72,18 +98,20 @@ pub(crate) fn on_bound(config: &RunConfig, parameters: &Parameters) -> Vec<Strin
     places.into_iter().map(|place| config.law.parameters[place].key.clone()).collect()
 }
 
-/// The standing of a set, without noise, among those of the grid.
-fn standing(config: &RunConfig, parameters: &Parameters, ranking: &Ranking) -> SetStanding {
-    let drive = ranking.drive(parameters);
+/// The standing of a set, without noise, among those of the grid; `None` if it was not driven.
+fn standing(config: &RunConfig, parameters: &Parameters, ranking: &Ranking) -> Option<SetStanding> {
+    let Figures { measures, spread } = ranking.figures(parameters)?;
     let is_driven = !ranking.is_empty();
-    SetStanding {
+    Some(SetStanding {
         gains: config.law.named(parameters),
-        measures: ranking.measures_of(&drive),
-        rank_value: is_driven.then(|| ranking.rank_by(|it| it.value, &drive)),
-        rank_distance: is_driven.then(|| ranking.rank_by(|it| it.distance, &drive)),
-        rank_mse: is_driven.then(|| ranking.rank_by(|it| it.mse_m2, &drive)),
-        rank_path: is_driven.then(|| ranking.rank_by(|it| it.path_mean_m, &drive)),
-    }
+        measures,
+        spread,
+        off_grid: ranking.is_off_grid(parameters),
+        rank_value: is_driven.then(|| ranking.rank_by(|it| it.value, &measures)),
+        rank_distance: is_driven.then(|| ranking.rank_by(|it| it.distance, &measures)),
+        rank_mse: is_driven.then(|| ranking.rank_by(|it| it.mse_m2, &measures)),
+        rank_path: is_driven.then(|| ranking.rank_by(|it| it.path_mean_m, &measures)),
+    })
 }
 
 /// The same training by another tuner, without noise, on the drives of the grid.
@@ -99,7 +127,7 @@ fn beside(tuner: &str, config: &RunConfig, ranking: &Ranking) -> Option<Beside> 
     let training = train_offline(&other, objective, |ask| ranking.drive(&ask.parameters));
     let set = training.tuner().recommend(&|a, b| ranking.compare(a, b));
     Some(Beside {
-        set: standing(config, &set, ranking),
+        set: standing(config, &set, ranking)?,
         asked: training.asked_drives(),
         distinct: training.distinct_drives(),
     })

@@ -1,7 +1,7 @@
-//! The choice under noise: by means instead of single drives.
+//! The choice by means instead of single drives: under noise, and with a vehicle that does not repeat itself.
 //!
-//! One noisy drive says little about a set. So the sets whose drives in the training have the best mean are
-//! driven again, each with the same noise seeds. The set with the best mean of these drives is chosen, and compared
+//! One such drive says little about a set. So the sets whose drives in the training have the best mean are
+//! driven again, each with the same noise seeds if there is noise. The set with the best mean of these drives is chosen, and compared
 //! with others by the differences between drives with the same seed.
 
 use config::{Parameters, RunConfig};
@@ -9,6 +9,7 @@ use outcome::{Comparison, Finalist, NoiseChoice};
 use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
+use crate::result::Choice;
 use crate::Training;
 use crate::statistics::{Estimate, mean};
 use crate::sweep::PlannedDrive;
@@ -22,6 +23,7 @@ pub struct Finalists {
     recommended: Parameters,
     paper: Option<Parameters>,
     repeats: u64,
+    noise: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,16 +53,17 @@ impl Finalists {
                 sets.push(Visited { parameters, visits: known.map_or(0, |it| it.visits) });
             }
         }
-        Self { sets, recommended, paper, repeats: config.robust.repeats.into() }
+        let (repeats, noise) = (config.robust.repeats.into(), config.noise.enabled);
+        Self { sets, recommended, paper, repeats, noise }
     }
 
-    /// The drives that decide: set by set, each with the noise seeds 1, 2, ….
+    /// The drives that decide: set by set, each with the noise seeds 1, 2, … if there is noise.
     pub fn drives(&self) -> Vec<PlannedDrive> {
         let of_set = |set: &Visited| {
             let by_zone = vec![set.parameters];
             (1..=self.repeats).map(move |seed| PlannedDrive {
                 by_zone: by_zone.clone(),
-                seed: Some(seed),
+                seed: self.noise.then_some(seed),
                 record: None,
             })
         };
@@ -73,7 +76,7 @@ impl Finalists {
         config: &RunConfig,
         objective: &Objective,
         records: &[DriveRecord],
-    ) -> (Parameters, NoiseChoice) {
+    ) -> Choice {
         let values: Vec<Vec<f64>> = records
             .chunks(self.repeats as usize)
             .map(|drives| drives.iter().map(|drive| objective.of(drive)).collect())
@@ -97,7 +100,7 @@ impl Finalists {
                 verdict: difference.verdict(),
             })
         };
-        let choice = NoiseChoice {
+        let by_means = NoiseChoice {
             repeats: self.repeats,
             holdout: config.robust.holdout,
             finalists: order
@@ -112,7 +115,8 @@ impl Finalists {
             against_recommended: compare(self.recommended).expect("it was driven"),
             against_paper: self.paper.and_then(compare),
         };
-        (self.sets[chosen].parameters, choice)
+        let parameters = self.sets[chosen].parameters;
+        Choice { parameters, by_means: Some(by_means), rank_mean: None }
     }
 }
 

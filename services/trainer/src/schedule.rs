@@ -17,11 +17,13 @@ use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 
 use crate::grid::GridSweep;
+use crate::own_drives::Driver;
 use crate::result::decided;
 use crate::service::write_outcome;
 use crate::single::SingleDrive;
 use crate::sweeping::{Place, Progress, Sweeping};
 use crate::validation::Validation;
+use crate::wire::Driven;
 
 /// Runs the process until it is asked to stop.
 ///
@@ -33,9 +35,14 @@ pub fn run() -> Result<()> {
     let text =
         std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
     let plan = SweepPlan::parse(&text)?;
+    // A grid has drives of its own for the objective's scales.
+    if plan.kind != SweepKind::Grid {
+        Driver::of_run(&attachment.folder, &config)?;
+    }
     let bus = Rc::new(bus);
     let mut schedule = Schedule::new(&bus, config, &plan, &attachment)?;
-    serve(&attachment, &bus, WakeRole::Trainer, &mut schedule)
+    serve(&attachment, &bus, WakeRole::Trainer, &mut schedule)?;
+    schedule.stop()
 }
 
 struct Schedule {
@@ -225,9 +232,41 @@ impl Schedule {
         if self.sweeping.is_recording() {
             return Ok(());
         }
-        let Some(driven) = self.sweeping.driven() else { return self.propose() };
-        let recorded = self.sweeping.recorded();
-        let outcome = match &self.subject {
+        if self.sweeping.driven().is_none() {
+            return self.propose();
+        }
+        let driven = self.sweeping.driven_so_far();
+        if let Some(outcome) = self.outcome(&driven)? {
+            write_outcome(&self.folder, &decided(&self.config, outcome))?;
+        }
+        self.stage = ScheduleStage::Over;
+        let header = self.sweeping.header(Proposal::FINISHED);
+        self.proposals.send(header, 1, |_| Proposal::default())?;
+        Ok(())
+    }
+
+    /// Keeps what was driven until this process was asked to stop.
+    fn stop(&mut self) -> Result<()> {
+        if self.stage == ScheduleStage::Over {
+            return Ok(());
+        }
+        let mut driven = self.sweeping.driven_so_far();
+        if let Subject::Drive(drive) = &self.subject
+            && driven[0].is_none()
+        {
+            driven[0] = drive.interrupted(&self.sweeping.cut_recording(0)?);
+        }
+        let Some(mut outcome) = self.outcome(&driven)? else { return Ok(()) };
+        if let Outcome::Drive(drive) = &mut outcome {
+            drive.reason = "interrupted".to_owned();
+        }
+        write_outcome(&self.folder, &decided(&self.config, outcome))
+    }
+
+    /// The outcome of the drives that were made: of a validation, only the rows that are whole. `None` if that is nothing.
+    fn outcome(&mut self, driven: &[Option<Driven>]) -> Result<Option<Outcome>> {
+        let (recorded, lacking) = (self.sweeping.recorded(), self.sweeping.lacking());
+        Ok(match &self.subject {
             Subject::Validation(validation) => {
                 let mut switches = vec![Vec::new(); validation.len()];
                 for (drive, of_drive) in &self.switches {
@@ -235,23 +274,25 @@ impl Schedule {
                         switches[row] = of_drive.clone();
                     }
                 }
-                let mut result = validation.result(&driven, &switches);
-                result.drives_recorded = recorded;
-                Outcome::Validate(result)
+                let (validation, driven, rows) = validation.cut(driven);
+                let switches: Vec<_> = rows.iter().map(|row| switches[*row].clone()).collect();
+                (!rows.is_empty()).then(|| {
+                    let mut result = validation.result(&driven, &switches);
+                    result.drives_recorded = recorded;
+                    result.drives_lacking = lacking;
+                    Outcome::Validate(result)
+                })
             }
-            Subject::Grid(grid) => Outcome::Grid(grid.finish(&self.folder, &driven)?),
-            Subject::Drive(drive) => {
+            Subject::Grid(_) if driven.iter().all(Option::is_none) => None,
+            Subject::Grid(grid) => Some(Outcome::Grid(grid.finish(&self.folder, driven)?)),
+            Subject::Drive(drive) => driven[0].map(|driven| {
                 let switches = self.switches.remove(&0).unwrap_or_default();
-                let mut result = drive.result(&driven[0], switches);
+                let mut result = drive.result(&driven, switches);
                 result.drives_recorded = recorded;
+                result.drives_lacking = lacking;
                 Outcome::Drive(result)
-            }
-        };
-        write_outcome(&self.folder, &decided(&self.config, outcome))?;
-        self.stage = ScheduleStage::Over;
-        let header = self.sweeping.header(Proposal::FINISHED);
-        self.proposals.send(header, 1, |_| Proposal::default())?;
-        Ok(())
+            }),
+        })
     }
 }
 

@@ -1,5 +1,6 @@
 //! The trainer's process: proposes drives, learns from their outcomes, writes the journal, and at the end
-//! ranks what it chose among all sets of the grid.
+//! ranks what it chose among all sets of the grid: by plain calls, or if the vehicle is not our simulator by its own
+//! drives.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,30 +12,28 @@ use std::thread::JoinHandle;
 use anyhow::{Context, Result, anyhow, ensure};
 use config::{Parameters, RunConfig};
 use ipc_types::{
-    Attempt, BatchHeader, DriveOutcome, DriveRequest, LearnerProgress, Proposal, WakeRole,
+    Attempt, BatchHeader, DriveOutcome, DriveRequest, LearnerProgress, Proposal, WakeRole, has,
 };
-use outcome::{Decided, NoiseChoice, OUTCOME_FILE, Outcome, TrainResult, to_json};
+use outcome::{Decided, OUTCOME_FILE, Outcome, TrainResult, VehicleDrives, to_json};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 use sha2::{Digest, Sha256};
 
+use crate::checkpoint::{self, Keeper};
 use crate::digest::to_hex;
-use crate::journal::Journal;
+use crate::journal::{Journal, REMEMBERED_AT_ONCE};
+use crate::own_drives::{Driver, recommended};
 use crate::ranking::grid_is_driven;
-use crate::result::{decided, train_result};
+use crate::result::{Choice, decided, train_result};
 use crate::story::Story;
 use crate::sweeping::{Place, Progress, Sweeping};
 use crate::training::{Taken, Training};
 use crate::wire::record_of;
-use crate::{Finalists, PlannedDrive, Ranking, objective_of, rank_mean};
+use crate::{Finalists, OwnDrives, PlannedDrive, Ranking, objective_of, rank_mean};
 
 /// Name of the journal in the run's folder.
 pub const JOURNAL_FILE: &str = "journal";
 
-/// Time between two syncs of the journal: what a power cut may cost.
-const SYNC_NS: u64 = 1_000_000_000;
-/// Number of remembered steps between two signs of life: a few milliseconds of work.
-const REMEMBERED_AT_ONCE: usize = 1000;
 /// Time between two reports on the progress of the ranking.
 const TELL_NS: u64 = 100_000_000;
 
@@ -51,6 +50,8 @@ pub fn run() -> Result<()> {
 
 struct Trainer {
     outcomes: Inlet<DriveOutcome>,
+    /// Tell whether the vehicle paces by the clock.
+    requests: Inlet<DriveRequest>,
     proposals: Outlet<Proposal>,
     progress: Outlet<LearnerProgress>,
     bus: Rc<Bus>,
@@ -59,11 +60,12 @@ struct Trainer {
     max_len: usize,
     folder: PathBuf,
     config: RunConfig,
+    driver: Driver,
     /// Shared with the ranking thread, but only once it has finished.
     training: Arc<Training>,
     journal: Journal,
     story: Story,
-    synced_ns: u64,
+    checkpoints: Keeper,
     /// Thousandths of the ranking that are done, and when that was reported.
     ranked: Arc<AtomicU32>,
     told_ns: u64,
@@ -72,18 +74,47 @@ struct Trainer {
 }
 
 enum TrainingStage {
+    /// Steps of the journal are still to be taken again.
+    Replaying,
     /// Some steps can be answered from memory.
     Remembering,
     /// Waits for outcomes.
     Training,
-    /// All learners have finished; under noise the best sets are driven again.
+    /// All learners have finished; the best sets are driven again, because single drives differ.
     Finalists(Sweeping, Box<Finalists>),
-    /// A thread drives the grid.
+    /// A vehicle that is not our simulator makes the drives from which the table's figures come.
+    Table(Sweeping, Box<Table>),
+    /// A thread compares the choice with the grid; with our simulator it drives the grid.
     Ranking(JoinHandle<Result<Chosen>>),
     /// The tuned set is driven for the recordings.
     Demonstrating(Sweeping, Box<TrainResult>),
     /// The outcome has been written and announced.
     Over,
+}
+
+impl TrainingStage {
+    /// The sweep that is under way.
+    fn sweeping(&mut self) -> Option<&mut Sweeping> {
+        match self {
+            Self::Finalists(sweeping, _)
+            | Self::Table(sweeping, _)
+            | Self::Demonstrating(sweeping, _) => Some(sweeping),
+            Self::Replaying
+            | Self::Remembering
+            | Self::Training
+            | Self::Ranking(_)
+            | Self::Over => None,
+        }
+    }
+}
+
+/// The figures of a table under way.
+struct Table {
+    choice: Choice,
+    own: OwnDrives,
+    drives: VehicleDrives,
+    /// All drives are over, but no request has told how the vehicle paces: the two travel on different topics.
+    waits_for_pace: bool,
 }
 
 /// The set that a training has found, and its result.
@@ -92,37 +123,41 @@ struct Chosen {
     result: TrainResult,
 }
 
+/// To the orchestrator each drive of a sweep is a learner of its own. Their numbers are above those of the learners and
+/// of all finalists.
+const FIRST_OF_TABLE: u32 = u32::MAX / 4;
+const FIRST_OF_GRID: u32 = u32::MAX / 8 * 3;
+const FIRST_DEMONSTRATED: u32 = u32::MAX / 2;
+
 impl Trainer {
     fn new(bus: Rc<Bus>, config: RunConfig, attachment: &Attachment) -> Result<Self> {
         let folder = attachment.folder.clone();
-        let mut training = Training::new(&config, objective_of(&config));
-        let mut story = Story::new(&folder, &config.law, config.learning.heading_weight)?;
-        let mut told = Ok(());
-        let each = |taken: &Taken| {
-            if told.is_ok() {
-                told = story.add(taken);
-            }
-        };
-        let path = folder.join(JOURNAL_FILE);
-        let journal = Journal::open(&path, &fingerprint(&config), &mut training, each)?;
-        told?;
+        let driver = Driver::of_run(&folder, &config)?;
+        let configuration = fingerprint(&config);
+        let mut journal = Journal::open(&folder.join(JOURNAL_FILE), &configuration)?;
+        let new = Training::new(&config, objective_of(&config));
+        let (training, lengths) =
+            checkpoint::take_up(&folder, &configuration, &config, &mut journal, new)?;
+        let story = Story::open(&folder, &config.law, config.learning.heading_weight, lengths)?;
         Ok(Self {
             outcomes: bus.inlet()?,
+            requests: bus.inlet()?,
             proposals: bus.outlet()?,
             progress: bus.outlet()?,
             bus,
             run: attachment.names.run,
             incarnation: attachment.incarnation,
             max_len: attachment.max_len,
+            checkpoints: Keeper::new(&folder, configuration),
             folder,
             config,
+            driver,
             training: Arc::new(training),
             journal,
             story,
-            synced_ns: 0,
             ranked: Arc::default(),
             told_ns: 0,
-            stage: TrainingStage::Remembering,
+            stage: TrainingStage::Replaying,
             counters: Counters::default(),
         })
     }
@@ -136,10 +171,21 @@ impl Trainer {
         Arc::get_mut(&mut self.training).expect("no ranking while drives are taken")
     }
 
-    /// Notes a step in the journal and in the files for users.
-    fn note(&mut self, taken: &Taken) -> Result<()> {
-        self.journal.note(taken);
-        self.story.add(taken)
+    /// Takes steps of the journal again, as many as leave time for signs of life.
+    fn replay(&mut self) -> Result<()> {
+        let Self { journal, training, story, .. } = self;
+        let training = Arc::get_mut(training).expect("no ranking while the journal is replayed");
+        let mut told = Ok(());
+        let is_over = journal.replay(training, |taken| {
+            if told.is_ok() {
+                told = story.add(taken);
+            }
+        })?;
+        told?;
+        if is_over {
+            self.stage = TrainingStage::Remembering;
+        }
+        self.tell_progress()
     }
 
     /// Answers what memory can, writes the journal, and asks for the rest.
@@ -147,15 +193,14 @@ impl Trainer {
         let mut taken = Vec::new();
         let each = |step: &Taken| taken.push(step.clone());
         let answered = self.training_mut().remember(REMEMBERED_AT_ONCE, each);
+        self.journal.note_remembered(taken.len());
         for taken in &taken {
-            self.note(taken)?;
+            self.story.add(taken)?;
         }
         self.journal.write()?;
-        let now_ns = now_ns();
-        if now_ns - self.synced_ns >= SYNC_NS {
-            self.journal.sync()?;
-            self.story.flush()?;
-            self.synced_ns = now_ns;
+        if self.checkpoints.is_due(now_ns()) {
+            let story = self.story.written()?;
+            self.checkpoints.keep(&self.journal, story, &self.training)?;
         }
         self.tell_progress()?;
         if !answered {
@@ -200,18 +245,23 @@ impl Trainer {
     }
 
     fn learn(&mut self, outcomes: &[DriveOutcome]) -> Result<()> {
+        // In the order of the learners: outcomes that were missed are sent again in another one.
+        let mut outcomes: Vec<&DriveOutcome> = outcomes.iter().collect();
+        outcomes.sort_by_key(|outcome| outcome.report.learner);
+        let mut taken = Vec::with_capacity(outcomes.len());
         for DriveOutcome { report, attempt } in outcomes {
             self.counters.batch = attempt.batch;
             let drive = record_of(report);
             // Asking again would bring the same report again.
             ensure!(drive.is_plausible(), "impossible numbers in a drive report: {report:?}");
             match self.training_mut().take(report.learner, report.step, drive) {
-                Some(taken) => self.note(&taken)?,
+                Some(step) => taken.push(step),
                 // It was answered before: the report was sent again.
                 None => self.counters.dropped += 1,
             }
         }
-        Ok(())
+        self.journal.note_driven(&taken, self.config.law.count());
+        taken.iter().try_for_each(|taken| self.story.add(taken))
     }
 
     fn place(&self) -> Place {
@@ -225,93 +275,174 @@ impl Trainer {
         }
     }
 
-    /// Starts what follows when all learners have finished: under noise the finalists, then the ranking.
+    /// Starts what follows when all learners have finished: where single drives differ the finalists, then the figures.
     fn after_training(&mut self) -> Result<()> {
         self.story.flush()?;
-        if !self.config.noise.enabled {
-            self.stage = TrainingStage::Ranking(self.rank(None)?);
-            return Ok(());
+        self.checkpoints.finish()?;
+        if self.config.noise.enabled || self.driver == (Driver::Vehicle { repeats: false }) {
+            let finalists = Finalists::new(&self.config, &self.training);
+            let first = self.training.tuner().learners();
+            let sweeping = Sweeping::new(&self.bus, self.place(), first, finalists.drives())?;
+            self.stage = TrainingStage::Finalists(sweeping, Box::new(finalists));
+            return self.ask();
         }
-        let finalists = Finalists::new(&self.config, &self.training);
-        // To the orchestrator each drive of a sweep is a learner of its own.
-        let first = self.training.tuner().learners();
-        let sweeping = Sweeping::new(&self.bus, self.place(), first, finalists.drives())?;
-        self.stage = TrainingStage::Finalists(sweeping, Box::new(finalists));
-        self.ask()
+        match self.driver {
+            Driver::Simulator => self.rank(None),
+            Driver::Vehicle { .. } => {
+                let choice = Choice::recommended(recommended(&self.training));
+                self.drive_table(choice, OwnDrives::default())
+            }
+        }
     }
 
     /// Asks for the drives of a sweep that are still wanted.
     fn ask(&mut self) -> Result<()> {
-        let (TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _)) =
-            &self.stage
-        else {
-            return Ok(());
-        };
-        let (header, progress) = (self.header(LearnerProgress::DRIVES), sweeping.progress());
+        let header = self.header(LearnerProgress::DRIVES);
+        let Some(sweeping) = self.stage.sweeping() else { return Ok(()) };
+        let (progress, wanted) = (sweeping.progress(), sweeping.wanted());
         self.progress.send(header, 1, |_| progress)?;
-        let wanted = sweeping.wanted();
         if !wanted.is_empty() {
-            self.proposals.send(sweeping.header(0), wanted.len(), |index| wanted[index])?;
+            self.proposals.send(self.header(0), wanted.len(), |index| wanted[index])?;
         }
         Ok(())
     }
 
-    /// Goes on after a sweep once all of its drives are over. Returns whether they were.
-    fn after_sweep(&mut self) -> Result<bool> {
+    /// Asks for more of a sweep, or goes on once all of its drives are over.
+    fn after_drives(&mut self) -> Result<()> {
+        let Some(driven) = self.stage.sweeping().and_then(|sweeping| sweeping.driven()) else {
+            return self.ask();
+        };
         match std::mem::replace(&mut self.stage, TrainingStage::Over) {
-            TrainingStage::Finalists(sweeping, finalists) => match sweeping.driven() {
-                Some(driven) => {
-                    let records: Vec<_> = driven.iter().map(|it| it.record).collect();
-                    let choice =
-                        finalists.choose(&self.config, self.training.objective(), &records);
-                    self.stage = TrainingStage::Ranking(self.rank(Some(choice))?);
+            TrainingStage::Finalists(_, finalists) => {
+                let records: Vec<_> = driven.iter().map(|it| it.record).collect();
+                let choice = finalists.choose(&self.config, self.training.objective(), &records);
+                match self.driver {
+                    Driver::Simulator => self.rank(Some(choice)),
+                    Driver::Vehicle { .. } => {
+                        let mut own = OwnDrives::default();
+                        if !self.config.noise.enabled {
+                            own.take(&driven);
+                        }
+                        self.drive_table(choice, own)
+                    }
                 }
-                None => {
-                    self.stage = TrainingStage::Finalists(sweeping, finalists);
-                    return Ok(false);
+            }
+            TrainingStage::Table(sweeping, mut table) => {
+                // The drives of the grid are in there once they are over, too.
+                let is_grid = table.drives.of_grid_set > 0;
+                if !is_grid && !self.knows_pace(&mut table)? {
+                    self.stage = TrainingStage::Table(sweeping, table);
+                    return Ok(());
                 }
-            },
+                table.own.take(&driven);
+                table.drives.for_table += driven.len() as u64;
+                if !is_grid && !table.drives.by_clock && grid_is_driven(&self.config) {
+                    return self.drive_grid(table);
+                }
+                self.rank_own(*table)
+            }
             TrainingStage::Demonstrating(sweeping, mut result) => {
-                if sweeping.driven().is_none() {
-                    self.stage = TrainingStage::Demonstrating(sweeping, result);
-                    return Ok(false);
-                }
                 result.drives_recorded = sweeping.recorded();
+                result.drives_lacking = sweeping.lacking();
                 write_outcome(&self.folder, &decided(&self.config, Outcome::Train(result)))?;
                 self.proposals.send(self.header(Proposal::FINISHED), 1, |_| Proposal::default())?;
+                Ok(())
             }
             other => {
                 self.stage = other;
-                return Ok(false);
+                Ok(())
             }
         }
-        Ok(true)
     }
 
-    /// Ranks what was chosen among all sets, in a separate thread: it may take a while, and the process must give signs
-    /// of life meanwhile.
-    fn rank(
-        &self,
-        choice: Option<(Parameters, NoiseChoice)>,
-    ) -> Result<JoinHandle<Result<Chosen>>> {
+    /// Drives the rows of the table; `own` are the drives that it has already.
+    fn drive_table(&mut self, choice: Choice, own: OwnDrives) -> Result<()> {
+        let repeats = self.driver == (Driver::Vehicle { repeats: true });
+        let of_each = if repeats { 1 } else { self.config.robust.repeats };
+        let rows = std::iter::once(choice.parameters).chain(self.config.paper_set());
+        let drives = own.missing(rows, of_each);
+        let sweeping = Sweeping::new(&self.bus, self.place(), FIRST_OF_TABLE, drives)?;
+        let drives = VehicleDrives { repeats, by_clock: false, for_table: 0, of_grid_set: 0 };
+        let table = Table { choice, own, drives, waits_for_pace: false };
+        self.stage = TrainingStage::Table(sweeping, Box::new(table));
+        self.after_drives()
+    }
+
+    /// Drives the sets of the grid that the vehicle has not driven.
+    fn drive_grid(&mut self, mut table: Box<Table>) -> Result<()> {
+        let (grid, own) = (self.config.grid(), &mut table.own);
+        let sets: Vec<Parameters> = grid.positions().map(|position| grid.set(position)).collect();
+        if table.drives.repeats {
+            // Those of the training count.
+            let unknown = sets.iter().filter(|set| own.of(set).is_empty());
+            let known: Vec<_> = unknown
+                .filter_map(|set| Some((*set, *self.training.remembered(set)?)))
+                .collect();
+            known.iter().for_each(|(set, drive)| own.add(set, *drive));
+        }
+        table.drives.of_grid_set = if table.drives.repeats { 1 } else { self.grid_repeats() };
+        let drives = own.missing(sets, table.drives.of_grid_set);
+        let sweeping = Sweeping::new(&self.bus, self.place(), FIRST_OF_GRID, drives)?;
+        self.stage = TrainingStage::Table(sweeping, table);
+        self.after_drives()
+    }
+
+    /// Drives of each set of the grid with a vehicle that does not repeat itself.
+    fn grid_repeats(&self) -> u32 {
+        let ticks = self.config.ticks() * self.config.grid().len() as u64;
+        let allowed = (self.config.ranking.max_ticks / ticks).max(1);
+        u64::from(self.config.ranking.repeats).min(allowed) as u32
+    }
+
+    /// Learns from the last request whether the vehicle paces by the clock. Returns whether one has come.
+    fn knows_pace(&mut self, table: &mut Table) -> Result<bool> {
+        let request = self.requests.receive_newest()?;
+        table.waits_for_pace = request.is_none();
+        let by_clock = |it: &DriveRequest| has(it.flags, DriveRequest::REAL_TIME);
+        table.drives.by_clock = request.is_some_and(|it| it.items().iter().any(by_clock));
+        Ok(!table.waits_for_pace)
+    }
+
+    /// Ranks what was chosen, or else what the tuner recommends, among all sets by plain calls. In a separate thread: it
+    /// may take a while, and the process must give signs of life meanwhile.
+    fn rank(&mut self, choice: Option<Choice>) -> Result<()> {
         let (config, training) = (self.config.clone(), self.training.clone());
-        let journal = self.journal.file()?;
         let share = self.ranked.clone();
-        Ok(std::thread::spawn(move || {
-            journal.sync_data().context("failed to sync the journal")?;
+        self.in_thread(move || {
             let progress = |done: f64| share.store((1000.0 * done) as u32, Ordering::Relaxed);
-            let noise = choice.map(|(parameters, choice)| {
-                let rank = grid_is_driven(&config)
-                    .then(|| rank_mean(&config, training.objective(), &parameters, progress));
-                (choice, parameters, rank)
-            });
-            let result = train_result(&config, &training, &Ranking::by_rollout(&config), noise);
-            let parameters = config
-                .law
+            let mut choice = choice;
+            if let Some(choice) = choice.as_mut().filter(|_| grid_is_driven(&config)) {
+                let (objective, set) = (training.objective(), &choice.parameters);
+                choice.rank_mean = Some(rank_mean(&config, objective, set, progress));
+            }
+            let ranking = Ranking::by_rollout(&config);
+            let recommend = || training.tuner().recommend(&|a, b| ranking.compare(a, b));
+            let choice = choice.unwrap_or_else(|| Choice::recommended(recommend()));
+            train_result(&config, &training, &ranking, choice, None)
+        })
+    }
+
+    /// The same by the drives of a vehicle that is not our simulator.
+    fn rank_own(&mut self, table: Table) -> Result<()> {
+        let (config, training) = (self.config.clone(), self.training.clone());
+        self.in_thread(move || {
+            let Table { choice, own, drives, .. } = table;
+            let ranking = Ranking::of_vehicle(&config, own);
+            train_result(&config, &training, &ranking, choice, Some(drives))
+        })
+    }
+
+    fn in_thread(&mut self, rank: impl FnOnce() -> TrainResult + Send + 'static) -> Result<()> {
+        let (journal, law) = (self.journal.file()?, self.config.law.clone());
+        self.stage = TrainingStage::Ranking(std::thread::spawn(move || {
+            journal.sync_data().context("failed to sync the journal")?;
+            let result = rank();
+            let parameters = law
                 .parameters_of(&result.gains)
                 .map_err(|(key, problem)| anyhow!("the tuned set: {key} {problem}"))?;
             Ok(Chosen { parameters, result })
-        }))
+        }));
+        Ok(())
     }
 
     /// Waits for the ranking; then makes recorded drives with the tuned set.
@@ -335,9 +466,7 @@ impl Trainer {
                 record: Some(name.to_owned()),
             })
             .to_vec();
-        // Numbers above those of the learners and all finalists.
-        let first = u32::MAX / 2;
-        let sweeping = Sweeping::new(&self.bus, self.place(), first, drives)?;
+        let sweeping = Sweeping::new(&self.bus, self.place(), FIRST_DEMONSTRATED, drives)?;
         self.stage = TrainingStage::Demonstrating(sweeping, Box::new(result));
         self.ask()?;
         Ok(true)
@@ -381,38 +510,42 @@ fn fingerprint(config: &RunConfig) -> String {
 impl Service for Trainer {
     fn poll(&mut self) -> Result<bool> {
         match &mut self.stage {
+            TrainingStage::Replaying => {
+                self.replay()?;
+                return Ok(true);
+            }
             TrainingStage::Remembering => {
                 self.propose()?;
                 return Ok(true);
             }
             TrainingStage::Ranking(_) => return self.after_ranking(),
-            TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _) => {
-                match sweeping.poll()? {
-                    Progress::None => {}
-                    Progress::Recording => return Ok(true),
-                    Progress::Recorded => {
-                        if !self.after_sweep()? {
-                            self.ask()?;
+            TrainingStage::Table(_, table) if table.waits_for_pace => {
+                self.after_drives()?;
+            }
+            stage => {
+                if let Some(sweeping) = stage.sweeping() {
+                    match sweeping.poll()? {
+                        Progress::None => {}
+                        Progress::Recording => return Ok(true),
+                        Progress::Recorded => {
+                            self.after_drives()?;
+                            return Ok(true);
                         }
-                        return Ok(true);
                     }
                 }
             }
-            TrainingStage::Training | TrainingStage::Over => {}
         }
         let Some(outcomes) = self.outcomes.receive()? else { return Ok(false) };
         if !outcomes.header().attempt.is_of(self.run) {
             self.counters.dropped += 1;
             return Ok(true);
         }
-        match &mut self.stage {
-            TrainingStage::Finalists(sweeping, _) | TrainingStage::Demonstrating(sweeping, _) => {
+        match self.stage.sweeping() {
+            Some(sweeping) => {
                 self.counters.dropped += sweeping.learn(outcomes.items())?;
-                if !self.after_sweep()? {
-                    self.ask()?;
-                }
+                self.after_drives()?;
             }
-            _ => self.learn(outcomes.items())?,
+            None => self.learn(outcomes.items())?,
         }
         if matches!(self.stage, TrainingStage::Training) {
             self.propose()?;

@@ -72,5 +72,5 @@ fn choose(config: &RunConfig) -> Parameters {
         .iter()
         .map(|drive| rollout.drive(drive.by_zone[0], drive.seed))
         .collect();
-    finalists.choose(config, &objective_of(config), &records).0
+    finalists.choose(config, &objective_of(config), &records).parameters
 }
