@@ -17,7 +17,7 @@ pub(crate) const TOOLS: Tools = Tools {
 /// Watches a living run.
 fn look(args: MonitorArgs) -> Result<(), Failure> {
     let MonitorArgs { run, vehicle, json, csv, duration, once, budget, prometheus } = args;
-    let LivingRun { names, folder } = living_run(run.as_deref())?;
+    let LivingRun { names, folder } = living_run(run.name())?;
     let options =
         monitor::Options { names, folder, vehicle, json, csv, duration, once, budget, prometheus };
     monitor::run(&options).map_err(|error| match error {
@@ -28,7 +28,7 @@ fn look(args: MonitorArgs) -> Result<(), Failure> {
 
 /// Records a living run from another terminal.
 fn record(args: &RecordArgs) -> Result<(), Failure> {
-    let run = living_run(args.run.as_deref())?;
+    let run = living_run(args.run.name())?;
     if let Some(out) = args.out.as_deref().filter(|out| out.exists()) {
         return Err(Failure::User(format!("--out {}: exists already", out.display())));
     }
@@ -42,8 +42,8 @@ fn record(args: &RecordArgs) -> Result<(), Failure> {
     let summary =
         recorder::attached::record(&options).map_err(|why| Failure::User(format!("{why:#}")))?;
     // A loss is not a failure, because an observer must not stop a vehicle; but it is always reported.
-    if let Some(gaps) = summary.gaps() {
-        eprintln!("pathtune: the recording has gaps: {gaps}");
+    for line in summary.facts(true).told() {
+        eprintln!("pathtune: {line}");
     }
     if !summary.behind.is_zero() {
         eprintln!(

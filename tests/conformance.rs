@@ -81,6 +81,7 @@ fn broken_life_is_found() {
         ("", "", &[]),
         ("late", "ready", &[]),
         ("pauses", "signs_of_life", &[]),
+        ("mute", "signs_of_life", &["ready", "exit"]),
         ("incarnation", "incarnation", &[]),
         ("capacity", "capacity", &[]),
         ("pacing", "pacing", &[]),
@@ -136,6 +137,47 @@ fn broken_numbers_are_found() {
     ]);
 }
 
+#[test]
+fn counts_that_no_process_can_have_are_not_passed_on() {
+    let sandbox = Sandbox::new();
+    let exe = std::env::current_exe().unwrap();
+    let vehicle = format!("vehicle={} --exact broken_vehicle --ignored --nocapture", exe.display());
+    let args = ["train", "lane_change", "--episodes", "1", "--out", "out", "--replace", &vehicle];
+    let output = sandbox.command(&args).env(FAULT, "counts").output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{}", sandbox.story("out", &output));
+    assert_eq!(said.matches("counts in its Status that no process can have").count(), 1, "{said}");
+    let result = sandbox.result("out");
+    let vehicle = result["processes"].as_array().unwrap().iter().find(|it| it["name"] == "vehicle");
+    assert_eq!(vehicle.unwrap()["dropped"], 0);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn its_folder_is_private_and_removed() {
+    let sandbox = Sandbox::new();
+    // Where others could have waited for it.
+    let theirs = sandbox.path("tmp");
+    std::fs::create_dir(&theirs).unwrap();
+    let args = ["conformance", "--json", "--", "pathtune", "service", "simulator"];
+    let run = sandbox.command(&args).env("TMPDIR", &theirs).spawn().unwrap();
+    let root = sandbox.path("r/pathtune");
+    let until = std::time::Instant::now() + Duration::from_secs(20);
+    let log = loop {
+        let roots = std::fs::read_dir(&root).into_iter().flatten().flatten();
+        let logs = roots.map(|entry| entry.path().join("conformance/logs/vehicle.log"));
+        if let Some(log) = logs.into_iter().find(|log| log.exists()) {
+            break log;
+        }
+        assert!(std::time::Instant::now() < until, "no log below {root:?}");
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    let output = run.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    assert!(!log.exists() && std::fs::read_dir(&theirs).unwrap().count() == 0);
+    sandbox.assert_clean();
+}
+
 /// Not a test: the process in the vehicle's role.
 #[test]
 #[ignore = "a process of the tests above"]
@@ -146,6 +188,9 @@ fn broken_vehicle() {
     let run = attachment.names.run;
     if fault == "late" {
         std::thread::sleep(Duration::from_millis(5500));
+    }
+    if fault == "mute" {
+        std::thread::sleep(Duration::from_secs(60));
     }
     if fault == "child" {
         Program::new("sh").args(["-c", "trap '' INT; exec sleep 60"]).spawn().unwrap();
@@ -182,6 +227,7 @@ impl Broken {
     fn new(bus: &Bus, fresh: SimulatedVehicle, run: u64, fault: String) -> Self {
         let capacity = if fault == "capacity" { 300 } else { 64 };
         let pacing = if fault == "pacing" { 8 } else { 0 };
+        let dropped = if fault == "counts" { u64::MAX - 1 } else { 0 };
         Self {
             requests: bus.inlet().unwrap(),
             commands: bus.inlet().unwrap(),
@@ -195,7 +241,7 @@ impl Broken {
             held_back: false,
             allowed: Vec::new(),
             batches: 0,
-            counters: Counters { capacity, pacing, ..Counters::default() },
+            counters: Counters { capacity, pacing, dropped, ..Counters::default() },
             fault,
         }
     }

@@ -182,7 +182,7 @@ fn mistakes_are_told_in_one_line() {
         assert!(text.contains(words), "{args:?}: {text}");
     };
     check(&[], "no run is alive");
-    check(&["--run", "zz"], "no living run has a number or folder");
+    check(&["zz"], "no living run has a number or folder");
     for time in ["0s", "-1s", "soon", "", "0"] {
         check(&["--for", time], "expected a time above zero");
     }

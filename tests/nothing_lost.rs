@@ -204,12 +204,29 @@ fn pipes_and_devices_are_refused_as_files() {
     let sandbox = Sandbox::new();
     let pipe = sandbox.path("pipe");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    fs::write(sandbox.path("mine.toml"), "name = \"mine\"\n").unwrap();
     let check = |args: &[&str]| {
         let output = sandbox.run(&[&["train"], args].concat());
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(64), "{args:?}: {said}");
         assert_eq!(said.trim_end().lines().count(), 1, "{said}");
     };
+    // Those that a run has left, too.
+    let run = sandbox.path("left");
+    fs::create_dir_all(run.join("logs")).unwrap();
+    fs::copy(sandbox.path("mine.toml"), run.join("config.toml")).unwrap();
+    for name in ["result.json", "logs/simulator.log"] {
+        fs::hard_link(&pipe, run.join(name)).unwrap();
+    }
+    for args in [
+        &["report", "left"][..],
+        &["gains", "promote", "left", "mine.toml"],
+        &["gains", "promote", "left", "pipe"],
+        &["drive", "lane_change", "--from", "left"],
+    ] {
+        assert!(!sandbox.run(args).status.success(), "{args:?}");
+    }
+    assert!(sandbox.run(&["logs", "left"]).status.success());
     for file in ["pipe", "/dev/zero"] {
         assert!(Path::new(file).is_absolute() || pipe.exists());
         check(&["--path", file]);
@@ -218,5 +235,137 @@ fn pipes_and_devices_are_refused_as_files() {
         check(&["lane_change", "--law", file]);
         check(&["lane_change", "--launch", file]);
     }
+    sandbox.assert_clean();
+}
+
+/// A run under limits that a shell sets; returns what it says, and its exit code.
+fn under(sandbox: &Sandbox, limit: &str, args: &str) -> (String, Option<i32>) {
+    let script = format!("{limit}; exec {} {args}", env!("CARGO_BIN_EXE_pathtune"));
+    let output = Command::new("sh")
+        .args(["-c", &script])
+        .current_dir(sandbox.path("."))
+        .env("XDG_RUNTIME_DIR", sandbox.path("r"))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    (String::from_utf8_lossy(&output.stderr).into_owned(), output.status.code())
+}
+
+#[test]
+fn limits_that_are_too_low_are_told_in_a_line() {
+    let sandbox = Sandbox::new();
+    let train = "train lane_change --episodes 1 --quiet --out out";
+    for (limit, args, part) in [
+        ("ulimit -n 20", train, "ulimit -n 4096"),
+        ("ulimit -n 20", "conformance -- pathtune service simulator", "ulimit -n 4096"),
+        ("ulimit -s 128", train, "ulimit -s 8192"),
+        ("ulimit -s 128", "config list", "ulimit -s 8192"),
+        ("export PATHTUNE_LOG_MIB=none", train, "PATHTUNE_LOG_MIB"),
+    ] {
+        let (said, code) = under(&sandbox, limit, args);
+        assert_eq!(code, Some(64), "{limit}: {args}: {said}");
+        assert!(said.contains(part) && said.lines().count() == 1, "{limit}: {args}: {said}");
+        assert!(!sandbox.path("out").exists());
+    }
+    // What may be raised is raised.
+    let (said, code) = under(&sandbox, "ulimit -S -n 20; ulimit -S -s 512", train);
+    assert_eq!(code, Some(0), "{said}");
+    sandbox.assert_clean();
+}
+
+#[test]
+fn an_observer_without_shared_memory_is_refused_in_a_line() {
+    let works = Command::new("unshare").args(["--mount", "true"]).output();
+    if !works.is_ok_and(|output| output.status.success()) {
+        assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "no namespaces");
+        eprintln!("skipped: this user may not make namespaces");
+        return;
+    }
+    let sandbox = Sandbox::new();
+    let script = format!(
+        "mount -t tmpfs -o size=64m none /dev/shm || exit 1\n\
+         run() {{ {} \"$@\"; }}\n\
+         run train lane_change --no-memo --quiet --out out >train.out 2>&1 & pid=$!\n\
+         until run status --json | grep -q '\"batch\":[1-9]'; do sleep .1; done\n\
+         head -c 80m /dev/zero >/dev/shm/full 2>/dev/null\n\
+         run monitor --once; echo \"monitor $?\"\n\
+         run record --for 1s; echo \"record $?\"\n\
+         run stop; echo \"stop $?\"; wait $pid; echo \"train $?\"\n",
+        env!("CARGO_BIN_EXE_pathtune")
+    );
+    let output = Command::new("unshare")
+        .args(["--mount", "sh", "-c", &script])
+        .current_dir(sandbox.path("."))
+        .env("XDG_RUNTIME_DIR", sandbox.path("r"))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    let (told, said) =
+        (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    for end in ["monitor 64", "record 64", "stop 0", "train 130"] {
+        assert!(told.contains(end), "{told}{said}");
+    }
+    assert_eq!(said.matches("/dev/shm is too small: an observer needs 4 MiB").count(), 2, "{said}");
+    assert_eq!(said.trim().lines().count(), 2, "{said}");
+}
+
+#[test]
+fn starts_do_not_race_with_ends_nor_with_the_clean_up() {
+    let sandbox = Sandbox::new();
+    let is_over = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_over.load(std::sync::atomic::Ordering::Relaxed) {
+                assert!(sandbox.run(&["clean"]).status.success());
+            }
+        });
+        let workers: Vec<_> = (0..3)
+            .map(|worker| {
+                let sandbox = &sandbox;
+                scope.spawn(move || {
+                    for number in 0..3 {
+                        // The shortest run that there is.
+                        let out = format!("out{worker}-{number}");
+                        sandbox.json(&out, &["drive", "lane_change"]);
+                    }
+                })
+            })
+            .collect();
+        let ends: Vec<_> = workers.into_iter().map(|worker| worker.join()).collect();
+        is_over.store(true, std::sync::atomic::Ordering::Relaxed);
+        assert!(ends.iter().all(Result::is_ok));
+    });
+    sandbox.assert_clean();
+}
+
+#[test]
+fn status_says_where_a_run_is_and_how_iceoryx2_sees_it() {
+    let sandbox = Sandbox::new();
+    let mut training = sandbox.start_training("out", &["lane_change", "--no-memo", "--quiet"]);
+    training.wait_until_it_drives();
+    let names = sandbox.living_run();
+    let status = sandbox.run(&["status", "--json", &format!("{:016x}", names.run)[..6]]);
+    let status: serde_json::Value = serde_json::from_slice(&status.stdout).unwrap();
+    let run = &status["runs"][0];
+    assert_eq!(run["root"], names.root.display().to_string());
+    assert_eq!(run["prefix"], names.prefix());
+    assert_eq!(run["folder"], fs::canonicalize(sandbox.path("out")).unwrap().display().to_string());
+    let printed = sandbox.run(&["status", "--iox2"]);
+    let config: toml::Table = toml::from_str(&String::from_utf8_lossy(&printed.stdout)).unwrap();
+    assert_eq!(config["global"]["prefix"].as_str(), Some(&*names.prefix()));
+    // A run is named alike everywhere: by its number or its folder, after the command.
+    let number = format!("{:016x}", names.run);
+    for args in [
+        &["status", "out"][..],
+        &["logs", "out"],
+        &["monitor", &number, "--once"],
+        &["monitor", "--run", "out", "--once"],
+        &["record", "out", "--for", "100ms"],
+        &["stop", "out"],
+    ] {
+        let output = sandbox.run(args);
+        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    assert_eq!(training.finish().status.code(), Some(130));
     sandbox.assert_clean();
 }

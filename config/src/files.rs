@@ -21,7 +21,10 @@ pub fn read_small(path: &Path) -> io::Result<String> {
 }
 
 /// Opens a regular file.
-pub(crate) fn open_regular(path: &Path) -> io::Result<fs::File> {
+///
+/// # Errors
+/// If it is another kind of file, or cannot be opened.
+pub fn open_regular(path: &Path) -> io::Result<fs::File> {
     // Before it is opened: opening a pipe would wait for somebody who writes.
     let meta = fs::metadata(path)?;
     if meta.is_dir() {

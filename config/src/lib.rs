@@ -14,6 +14,7 @@ mod grid;
 pub mod launch;
 mod law;
 mod layers;
+mod lengths;
 mod own_path;
 mod path_file;
 mod points;
@@ -25,9 +26,10 @@ mod schema;
 mod sweep;
 mod tuned;
 mod validate;
+mod vehicles;
 
 pub use error::ConfigError;
-pub use files::read_small;
+pub use files::{open_regular, read_small};
 pub use grid::{Axes, Axis, Grid, GridAxis, GridPosition};
 pub use law::{
     LawConfig, MAX_PARAMETERS, NamedParameters, ParameterConfig, Parameters, Scale, Settings,

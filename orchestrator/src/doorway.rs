@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::ErrorKind;
+use runtime::limits;
 
 use crate::bench::bench;
 use crate::cli::{Cli, Command, MonitorArgs, RecordArgs, ReplayArgs};
@@ -40,6 +41,19 @@ pub struct Tools {
 
 /// Does what the command line says.
 pub fn run(house: House) -> ExitCode {
+    limits::raise();
+    match limits::check_stack() {
+        Ok(()) => run_with_stack(house),
+        Err(why) => {
+            print_failure(&Failure::User(why));
+            ExitCode::from(64)
+        }
+    }
+}
+
+/// Not inlined: the check before it must come before the stack is used.
+#[inline(never)]
+fn run_with_stack(house: House) -> ExitCode {
     match Cli::try_parse() {
         Ok(cli) => match execute(cli.command, house) {
             Ok(true) => ExitCode::SUCCESS,
@@ -74,17 +88,17 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Train(args) => commands::train(&args, services).and_then(draw),
         Command::Validate(args) => commands::validate(&args, services).and_then(draw),
         Command::Drive(args) => commands::drive(&args, services).and_then(draw),
-        Command::Rearm { run, vehicle } => commands::rearm(run.as_deref(), vehicle),
+        Command::Rearm { run, vehicle } => commands::rearm(run.name(), vehicle),
         Command::Grid(args) => commands::grid(&args, services).and_then(draw),
         Command::Report { run } => report(&run, tools),
         Command::Record(args) => (tools.record)(&args),
         Command::Replay(args) => return (tools.replay)(&args, services),
         Command::Bench(args) => bench(&args),
         Command::Monitor(args) => (tools.monitor)(args),
-        Command::Status { json } => commands::status(json),
-        Command::Stop { run } => commands::stop(run.as_deref()),
+        Command::Status { run, json, iox2 } => commands::status(run.name(), json, iox2),
+        Command::Stop { run } => commands::stop(run.name()),
         Command::Logs { run, process, lines } => {
-            commands::logs(run.as_deref(), process.as_deref(), lines)
+            commands::logs(run.name(), process.as_deref(), lines)
         }
         Command::Clean { dry_run } => commands::clean(dry_run),
         Command::Doctor { json } => commands::doctor(json),

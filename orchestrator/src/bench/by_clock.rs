@@ -102,7 +102,7 @@ fn measure(condition: Condition, time: Duration) -> Result<Value> {
     let mut monitor = Killed(
         Command::new("/proc/self/exe")
             .arg0("pathtune")
-            .args(["monitor", "--run", &run, "--once", "--json", "--for"])
+            .args(["monitor", &run, "--once", "--json", "--for"])
             .arg(format!("{}ms", time.as_millis()))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

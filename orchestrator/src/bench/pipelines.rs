@@ -112,7 +112,7 @@ pub(super) fn pipeline(fleet: usize, monitors: usize) -> Result<Timing> {
 fn monitor(run: &str) -> std::io::Result<Child> {
     Command::new("/proc/self/exe")
         .arg0("pathtune")
-        .args(["monitor", "--run", run, "--json"])
+        .args(["monitor", run, "--json"])
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::null())

@@ -14,16 +14,21 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::pipeline::process::last_lines;
-use crate::runs::state::RunState;
+use crate::runs::living_run;
+use crate::runs::state::{RunState, ShownRun};
 use crate::words::Failure;
 use crate::words::terminal::say;
 
-/// Lists the living runs.
+/// Lists the living runs, or the one that is named; or prints the configuration for iceoryx2's own command line.
 ///
 /// # Errors
-/// None that a user could do anything about.
-pub(crate) fn status(as_json: bool) -> Result<(), Failure> {
-    let runs = RunState::living();
+/// If `run` matches no run or several.
+pub(crate) fn status(run: Option<&str>, as_json: bool, iox2: bool) -> Result<(), Failure> {
+    if iox2 {
+        say!("{}", runtime::iox2_config(&living_run(run)?.names)?.trim_end());
+        return Ok(());
+    }
+    let runs = ShownRun::named(run)?;
     if as_json {
         say!("{}", serde_json::to_string(&json!({ "runs": runs })).context("the runs")?);
         return Ok(());
@@ -31,7 +36,7 @@ pub(crate) fn status(as_json: bool) -> Result<(), Failure> {
     if runs.is_empty() {
         say!("no run is alive");
     }
-    for state in runs {
+    for ShownRun { state, .. } in runs {
         say!(
             "{}  {}  pid {}  batch {} attempt {} tick {}  {}",
             state.run,
@@ -133,6 +138,7 @@ pub(crate) fn logs(run: Option<&str>, process: Option<&str>, lines: usize) -> Re
         .with_context(|| format!("failed to read {:?}", folder.join("logs")))?
         .flatten()
         .map(|entry| entry.path())
+        .filter(|path| path.extension().is_some_and(|it| it == "log"))
         .filter(|path| process.is_none_or(|name| path.file_stem().is_some_and(|stem| stem == name)))
         .collect();
     paths.sort();

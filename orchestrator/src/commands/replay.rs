@@ -95,9 +95,13 @@ pub fn replay(
     launch.prefer_service(Role::Vehicle, "replayer");
     launch.prefer_service(Role::Trainer, "reviewer");
     sweep_dead_runs();
-    preflight::check_shared_memory(config.fleet().max(config.learners()))?;
-    let name = format!("pathtune-replay-{}", std::process::id());
-    let folder = preflight::make_folder(&std::env::temp_dir().join(name))?;
+    preflight::check_resources(config.fleet().max(config.learners()))?;
+    // Made anew, under a name that nobody else knows beforehand, and closed to other users.
+    let made = tempfile::Builder::new()
+        .prefix("pathtune-replay-")
+        .tempdir()
+        .map_err(|why| Failure::User(format!("no temporary folder can be made: {why}")))?;
+    let folder = preflight::make_folder(made.path())?;
     let _lock = preflight::lock_folder(&folder)?;
     fs::write(folder.join(order_file), order)?;
     let plan = Plan {
@@ -113,9 +117,21 @@ pub fn replay(
         fifo: None,
         interrupted,
     };
-    run(&plan)?;
+    let facts = match run(&plan) {
+        Ok(facts) => facts,
+        Err(failure) => {
+            if !matches!(failure, Failure::User(_)) {
+                // Its logs say more.
+                let _ = made.keep();
+            }
+            return Err(failure);
+        }
+    };
+    if let Some(signal) = facts.pipeline.stopped_by {
+        let left = "the replay has compared nothing".to_owned();
+        return Err(Failure::Interrupted(signal, left));
+    }
     let outcome = fs::read(plan.folder.join(outcome::OUTCOME_FILE)).context("the outcome")?;
     let outcome = serde_json::from_slice(&outcome).context("the outcome")?;
-    fs::remove_dir_all(&plan.folder)?;
     Ok(outcome)
 }

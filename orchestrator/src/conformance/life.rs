@@ -15,7 +15,7 @@ use crate::words::Failure;
 const READY_WITHIN_NS: u64 = 5_000_000_000;
 /// How long to wait for a late vehicle, so that the other checks can still be made.
 const READY_AT_LAST: Duration = Duration::from_secs(12);
-/// Signs of life are due every 100 ms; a machine under load may be late.
+/// Signs of life are due every 100 ms, with a margin.
 const GAP_NS: u64 = 400_000_000;
 const ENDS_WITHIN: Duration = Duration::from_secs(5);
 
@@ -57,8 +57,7 @@ pub(super) fn restarts(stand: &mut Stand, to: &mut Findings) -> Result<(), Failu
         // Far enough into the drive that a new beginning can be told from a continuation.
         stand.pass(Duration::from_millis(300))?;
     }
-    let gap_ns = since_beat(stand);
-    stand.longest_gap_ns = stand.longest_gap_ns.max(gap_ns);
+    stand.note_open_gap();
     stand.kill()?;
     stand.start()?;
     let ready = stand.wait(READY_AT_LAST, |stand| stand.beat.is_some())?;
@@ -98,17 +97,19 @@ fn by_time(stand: &Stand, now_ns: u64) -> u64 {
     (now_ns.saturating_sub(stand.header.sent_ns) as f64 / tick_ns) as u64
 }
 
-fn since_beat(stand: &Stand) -> u64 {
-    stand.beat.map_or(0, |(_, _, at_ns)| now_ns().saturating_sub(at_ns))
-}
-
 /// Sends SIGINT, and looks for what the vehicle leaves behind.
 pub(super) fn ends(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> {
     stand.pump()?;
-    if stand.beat.is_some() {
-        let gap_ns = stand.longest_gap_ns.max(since_beat(stand));
-        let seen = format!("longest gap {} ms", gap_ns / 1_000_000);
-        to.note("signs_of_life", gap_ns <= GAP_NS, seen);
+    stand.note_open_gap();
+    match stand.longest_gap_ns {
+        Some(gap_ns) => {
+            let seen = format!("longest gap {} ms", gap_ns / 1_000_000);
+            to.note("signs_of_life", gap_ns <= GAP_NS, seen);
+        }
+        None if stand.process.is_some() => {
+            to.note("signs_of_life", false, "none at all");
+        }
+        None => {}
     }
     let died = stand.died.clone();
     to.note("stays_alive", died.is_none(), died.unwrap_or("to the end".to_owned()));
@@ -131,34 +132,16 @@ pub(super) fn ends(stand: &mut Stand, to: &mut Findings) -> Result<(), Failure> 
         }
     }
     std::thread::sleep(SILENCE);
-    let left = others_of(stand.attachment.names.run, if ended.is_some() { 0 } else { pid });
-    to.note("no_processes", left.is_empty(), format!("{} left {left:?}", left.len()));
-    if ended.is_some() && left.is_empty() {
-        let left = leftovers(stand, pid);
-        to.note("no_leftovers", left.is_empty(), format!("{} left {left:?}", left.len()));
-    }
-    for pid in left {
-        if let Some(pid) = rustix::process::Pid::from_raw(pid as i32) {
-            let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
+    if ended.is_some() {
+        let left = process.survivors();
+        to.note("no_processes", left.is_empty(), format!("{} left {left:?}", left.len()));
+        if left.is_empty() {
+            let left = leftovers(stand, pid);
+            to.note("no_leftovers", left.is_empty(), format!("{} left {left:?}", left.len()));
         }
     }
     process.kill();
     Ok(())
-}
-
-/// Processes that name the run in their environment, except `but`.
-fn others_of(run: u64, but: u32) -> Vec<u32> {
-    let mark = format!("PATHTUNE_RUN={run:016x}");
-    let Ok(entries) = fs::read_dir("/proc") else { return Vec::new() };
-    entries
-        .flatten()
-        .filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok())
-        .filter(|pid| *pid != but && *pid != std::process::id())
-        .filter(|pid| {
-            let environ = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
-            environ.split(|byte| *byte == 0).any(|variable| variable == mark.as_bytes())
-        })
-        .collect()
 }
 
 /// Names of segments and node files that a process left behind.

@@ -44,27 +44,21 @@ pub(crate) fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
     let config = resolve(args)?;
     let mut launch = Launch::train();
     let command = command_of(&args.command)?;
-    launch.replace(&format!("{}={command}", Role::Vehicle.name()))?;
+    launch.replace(&format!("{}={command}", Role::Vehicle.name()), args.deterministic)?;
     preflight::check_commands(&launch)?;
 
     sweep_dead_runs();
-    preflight::check_shared_memory(MAX_SLOTS)?;
-    let folder = Folder(
-        preflight::make_folder(&match &args.out {
-            Some(folder) => folder.clone(),
-            None => {
-                std::env::temp_dir().join(format!("pathtune-conformance-{}", std::process::id()))
-            }
-        })?,
-        args.out.is_some(),
-    );
-    let text = toml::to_string(&config).context("the configuration")?;
-    fs::write(folder.0.join("config.toml"), text)?;
-
+    preflight::check_resources(MAX_SLOTS)?;
     let private = PrivateNames::create()?;
+    // Removed with the names, unless the user wants to keep it.
+    let usual = private.names.root.join("conformance");
+    let folder = preflight::make_folder(args.out.as_deref().unwrap_or(&usual))?;
+    let text = toml::to_string(&config).context("the configuration")?;
+    fs::write(folder.join("config.toml"), text)?;
+
     let attachment = Attachment {
         names: private.names.clone(),
-        folder: folder.0.clone(),
+        folder: folder.clone(),
         max_len: MAX_SLOTS,
         incarnation: 0,
         core: None,
@@ -77,7 +71,7 @@ pub(crate) fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
     let mut stand = Stand::new(config, Program::Command(command), attachment, interrupted)?;
     examine(args, &mut stand, &mut findings)?;
     drop(stand);
-    tell(args, &findings, &folder.0)
+    tell(args, &findings, &folder)
 }
 
 /// All checks, in their order.
@@ -194,15 +188,4 @@ fn tell(args: &ConformanceArgs, findings: &Findings, folder: &Path) -> Result<bo
     }
     say!("{} passed, {failed} failed, {} skipped", count(Verdict::Pass), count(Verdict::Skipped));
     Ok(failed == 0)
-}
-
-/// The folder, which is removed when this is dropped, unless the user named it.
-struct Folder(std::path::PathBuf, bool);
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        if !self.1 {
-            let _ = fs::remove_dir_all(&self.0);
-        }
-    }
 }

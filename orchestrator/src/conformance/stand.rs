@@ -14,6 +14,7 @@ use runtime::{Attachment, Bus, Inlet, Outlet};
 
 use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::process::{Process, Program, clean_up_behind, describe};
+use crate::pipeline::vitals::Vitals;
 use crate::words::Failure;
 
 /// The largest number of slots that are driven at once.
@@ -84,10 +85,13 @@ pub(super) struct Stand {
     /// How the process died, if it was not asked to stop.
     pub(super) died: Option<String>,
     pub(super) started_ns: u64,
-    /// The last sign of life with its header and time; `longest_gap_ns` is the longest gap between two of one
-    /// incarnation.
+    /// The last sign of life of this incarnation, with its header and time.
     pub(super) beat: Option<(BatchHeader, Status, u64)>,
-    pub(super) longest_gap_ns: u64,
+    /// The longest gap between two signs of life, without the time that the vehicle waited for a processor. `None`
+    /// before the first sign of life.
+    pub(super) longest_gap_ns: Option<u64>,
+    /// What the system counted of the vehicle at its last sign of life.
+    vitals: Vitals,
     pub(super) heard: VecDeque<Seen>,
     pub(super) oddities: Oddities,
     /// The batch under way.
@@ -119,7 +123,8 @@ impl Stand {
             died: None,
             started_ns: 0,
             beat: None,
-            longest_gap_ns: 0,
+            longest_gap_ns: None,
+            vitals: Vitals::default(),
             heard: VecDeque::new(),
             oddities: Oddities::default(),
             header: BatchHeader {
@@ -164,7 +169,8 @@ impl Stand {
     /// Receives all messages that have arrived.
     pub(super) fn pump(&mut self) -> Result<bool, Failure> {
         if let Some(signal) = self.interrupted.signal() {
-            return Err(Failure::Interrupted(signal));
+            let left = "the vehicle was stopped".to_owned();
+            return Err(Failure::Interrupted(signal, left));
         }
         if let Some(process) = &mut self.process
             && let Some(status) = process.try_wait()
@@ -183,9 +189,9 @@ impl Stand {
             // The time at which it was sent: the stand itself may have been busy.
             let is_stamped = header.sent_ns <= now && now - header.sent_ns < 5_000_000_000;
             let at_ns = if is_stamped { header.sent_ns } else { now };
-            if let Some((_, _, before_ns)) = self.beat {
-                self.longest_gap_ns = self.longest_gap_ns.max(at_ns.saturating_sub(before_ns));
-            }
+            let vitals = self.vitals_now();
+            self.note_gap(at_ns, vitals);
+            self.vitals = vitals;
             self.beat = Some((header, status, at_ns));
             any = true;
         }
@@ -196,6 +202,30 @@ impl Stand {
             any = true;
         }
         Ok(any)
+    }
+
+    fn vitals_now(&self) -> Vitals {
+        let process = self.process.as_ref();
+        process.and_then(|process| Vitals::of_tree(process.id())).unwrap_or_default()
+    }
+
+    /// Notes the gap between the last sign of life and `at_ns`, at which the system counted `now` of the vehicle. A
+    /// loaded machine is slow, not silent: the time that the vehicle waited for a processor is left out.
+    fn note_gap(&mut self, at_ns: u64, now: Vitals) {
+        let elapsed_ns = self.beat.map_or(0, |(_, _, before_ns)| at_ns.saturating_sub(before_ns));
+        let waited_ns = now.waited_ns.saturating_sub(self.vitals.waited_ns);
+        let gap_ns = elapsed_ns.saturating_sub(waited_ns);
+        self.longest_gap_ns = Some(self.longest_gap_ns.unwrap_or_default().max(gap_ns));
+    }
+
+    /// Notes the gap since the last sign of life, which is not over yet.
+    pub(super) fn note_open_gap(&mut self) {
+        let Some((_, _, before_ns)) = self.beat else { return };
+        let now = self.vitals_now();
+        // What is ready to run may have waited since it last ran, and nobody knows for how long: then only the time
+        // counts that it did run.
+        let used_ns = now.used_ns.saturating_sub(self.vitals.used_ns);
+        self.note_gap(if now.runnable { before_ns + used_ns } else { now_ns() }, now);
     }
 
     /// What must hold for every odometry message.

@@ -1,10 +1,12 @@
 //! A pipeline has one core, or one for each process of its ring; this file finds cores that are free.
 
 use std::os::linux::net::SocketAddrExt;
-use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
 
 use runtime::Wait;
 use runtime::waiting::RING;
+use rustix::net::sockopt::socket_peercred;
+use rustix::process::geteuid;
 use rustix::thread::{CpuSet, sched_getaffinity};
 
 /// Where the processes of a pipeline's ring run, and how they wait for each other.
@@ -59,14 +61,14 @@ pub(crate) struct CoreClaim {
     /// Number of the core.
     pub(crate) core: usize,
     /// Names in the abstract namespace: they are free again when their owner dies, and leave no file behind.
-    claims: Vec<UnixDatagram>,
+    claims: Vec<UnixListener>,
 }
 
 impl CoreClaim {
     /// Claims a core that no other pipeline on this machine has claimed.
     pub(crate) fn unshared() -> Option<Self> {
         allowed_cores().into_iter().find_map(|core| {
-            let claim = bind("core", core)?;
+            let claim = claim("core", core)?;
             Some(Self { core, claims: vec![claim] })
         })
     }
@@ -74,24 +76,65 @@ impl CoreClaim {
     /// A core that another pipeline has claimed, but yields.
     pub(crate) fn shared() -> Option<Self> {
         let cores: Vec<usize> =
-            allowed_cores().into_iter().filter(|core| bind("spin", *core).is_some()).collect();
+            allowed_cores().into_iter().filter(|core| claim("spin", *core).is_some()).collect();
         let core = *cores.get(std::process::id() as usize % cores.len().max(1))?;
         Some(Self { core, claims: Vec::new() })
     }
 
     /// Keeps other pipelines off this core: its process spins, and never yields it.
     fn keep_others_off(&mut self) {
-        self.claims.extend(bind("spin", self.core));
+        self.claims.extend(claim("spin", self.core));
     }
 }
 
-fn bind(what: &str, core: usize) -> Option<UnixDatagram> {
-    let name = SocketAddr::from_abstract_name(format!("pathtune-{what}-{core}")).ok()?;
-    UnixDatagram::bind_addr(&name).ok()
+/// Claims a core for this user's runs, if none of them has claimed it.
+///
+/// Any user can take any name. So a name that somebody else has taken says nothing, and the next one counts.
+fn claim(what: &str, core: usize) -> Option<UnixListener> {
+    let user = geteuid().as_raw();
+    (0..NAMES).find_map(|number| {
+        let name = format!("pathtune-{user}-{what}-{core}-{number}");
+        let name = SocketAddr::from_abstract_name(name).ok()?;
+        match UnixListener::bind_addr(&name) {
+            Ok(claim) => Some(Some(claim)),
+            Err(_) if is_taken_by(user, &name) => Some(None),
+            Err(_) => None,
+        }
+    })?
+}
+
+/// How many names strangers may take before a core can no longer be claimed.
+const NAMES: u32 = 32;
+
+/// Whether a process of this user listens at a name.
+fn is_taken_by(user: u32, name: &SocketAddr) -> bool {
+    UnixStream::connect_addr(name)
+        .ok()
+        .and_then(|stream| socket_peercred(&stream).ok())
+        .is_some_and(|owner| owner.uid.as_raw() == user)
 }
 
 /// The cores that this process may use, the last ones first, because the first core often serves the interrupts.
 fn allowed_cores() -> Vec<usize> {
     let Ok(allowed) = sched_getaffinity(None) else { return Vec::new() };
     (0..CpuSet::MAX_CPU).rev().filter(|core| allowed.is_set(*core)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::net::UnixDatagram;
+
+    #[test]
+    fn a_core_is_claimed_once_and_a_stranger_s_name_is_no_claim() {
+        let (what, core) = ("test", std::process::id() as usize);
+        // Whoever does not listen there with credentials of this user is a stranger.
+        let name = format!("pathtune-{}-{what}-{core}-0", geteuid().as_raw());
+        let name = SocketAddr::from_abstract_name(name).unwrap();
+        let _stranger = UnixDatagram::bind_addr(&name).unwrap();
+        let ours = claim(what, core).unwrap();
+        assert!(claim(what, core).is_none());
+        drop(ours);
+        assert!(claim(what, core).is_some());
+    }
 }

@@ -11,6 +11,7 @@ use ipc_types::{
     Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal,
     Safety, Status, WakeRole, WirePose, has,
 };
+use outcome::RecordingFacts;
 use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;
 use runtime::observer::CORE_FILE;
@@ -21,6 +22,7 @@ use rustix::time::Timespec;
 use signal_hook::consts::SIGINT;
 
 use crate::pipeline::cores::Placement;
+use crate::pipeline::gate_log::GateLog;
 use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::member::{Member, RefusedSamples, State};
 use crate::pipeline::observers::ObserverCare;
@@ -41,11 +43,16 @@ const STALLED_AT_LAST_NS: u64 = 10_000_000_000;
 /// How many stalls in a row of one batch end the run: driving it again repairs a lost message, but by then it has not
 /// helped, and will not.
 const STALLS_IN_A_ROW: u32 = 100;
+/// How often a drive is made again because the vehicle was stopped for what does not lie in the drive, such as odometry
+/// that did not come.
+const STOPS_IN_A_ROW: u32 = 3;
 /// How long a process may take to stop.
 const STOPS_WITHIN: Duration = Duration::from_secs(5);
+/// How long the recorder may take to write what waits for the disk, at most some ten megabytes.
+const WRITES_WITHIN: Duration = Duration::from_secs(60);
 /// Longest sleep of the orchestrator: deaths and messages wake it, deadlines do not.
 const NAP_NS: i64 = 20_000_000;
-/// Time between two looks for warnings of a vehicle in real time.
+/// Time between two looks for cut logs, and for warnings of a vehicle in real time.
 const WARN_EVERY_NS: u64 = 1_000_000_000;
 /// Time between two checks for dead children while messages flow.
 const REAP_EVERY_NS: u64 = 1_000_000;
@@ -70,8 +77,8 @@ pub(crate) struct Pipeline<'a> {
     realtime: bool,
     /// The vehicle does pace by the clock.
     by_clock: bool,
-    /// State of the gate of each slot, as reported last.
-    gates: Vec<u32>,
+    /// The gate of each slot.
+    gates: Vec<GateLog>,
     /// A process of the ring died, or a message was lost: the batch under way will not end.
     batch_is_broken: bool,
     /// The latest batch and tick that any process reported; `seen_ns` is when that of any process last changed.
@@ -81,6 +88,8 @@ pub(crate) struct Pipeline<'a> {
     seen_waited_ns: u64,
     /// Attempts at the batch under way that stalled.
     stalls_in_a_row: u32,
+    /// Attempts at the batch under way in which a vehicle was stopped for what does not lie in the drive.
+    stops_in_a_row: u32,
     random_kills: RandomKills,
     recoveries: Recoveries,
     observers: ObserverCare,
@@ -165,6 +174,7 @@ impl<'a> Pipeline<'a> {
             seen_ns: 0,
             seen_waited_ns: 0,
             stalls_in_a_row: 0,
+            stops_in_a_row: 0,
             random_kills,
             recoveries: Recoveries::default(),
             observers: ObserverCare::default(),
@@ -180,29 +190,39 @@ impl<'a> Pipeline<'a> {
         })
     }
 
-    /// The main loop: from the first start to the trainer's outcome, or to the reason why there is none.
+    /// The main loop: from the first start to the trainer's outcome, to a signal that ends it early, or to the reason why
+    /// there is no outcome.
     pub(crate) fn run_to_end(&mut self) -> Result<PipelineFacts, Failure> {
         let result = self.loop_until_over();
         self.stop_all();
-        result?;
         Ok(PipelineFacts {
+            stopped_by: result?,
             counts: self.sequencer.counts(),
             recovery: self.recoveries.sum_up(chaos::fired(&self.attachment.names.root)),
             processes: self.members.iter().map(Member::facts).collect(),
             wall_s: (now_ns() - self.started_ns) as f64 / 1e9,
             tick_ns: self.driving_ns as f64 / self.driving_ticks.max(1) as f64,
+            recording: self.recording(),
             waiting: self.placement.wait.name(),
         })
     }
 
-    fn loop_until_over(&mut self) -> Result<(), Failure> {
+    /// What the recorder passes on when it has ended.
+    fn recording(&self) -> Option<RecordingFacts> {
+        let bytes = fs::read(self.attachment.names.root.join(RecordingFacts::FILE)).ok()?;
+        serde_json::from_slice(&bytes).ok()
+    }
+
+    /// Returns the signal that has ended it early, if one has.
+    fn loop_until_over(&mut self) -> Result<Option<i32>, Failure> {
         let mut waiting = Waiting::default();
         loop {
-            if let Some(signal) = self.interrupted.signal() {
-                return Err(Failure::Interrupted(signal));
-            }
-            if self.state_file.is_stop_requested(now_ns()) {
-                return Err(Failure::Interrupted(SIGINT));
+            let stopped_by = match self.interrupted.signal() {
+                None if self.state_file.is_stop_requested(now_ns()) => Some(SIGINT),
+                signal => signal,
+            };
+            if stopped_by.is_some() {
+                return Ok(stopped_by);
             }
             let mut heard = self.hear_status()?;
             self.look_after_members()?;
@@ -211,7 +231,7 @@ impl<'a> Pipeline<'a> {
             heard |= self.hear_controller()?;
             heard |= self.hear_gate()?;
             if self.is_over {
-                return Ok(());
+                return Ok(None);
             }
             self.drive()?;
             if heard {
@@ -237,9 +257,15 @@ impl<'a> Pipeline<'a> {
                 continue;
             };
             let Status { dropped, rejected, late, .. } = status;
-            member.refused = RefusedSamples { dropped, rejected, late };
+            if !member.take_counts(RefusedSamples { dropped, rejected, late }, now_ns()) {
+                self.progress.notice(&format!(
+                    "{} reports counts in its Status that no process can have; the result holds the last ones before",
+                    member.name
+                ));
+            }
             // Each process is compared with itself: they are at different ticks even when all have stopped.
-            if (status.batch, status.tick) != member.seen {
+            let is_known = status.batch <= self.sequencer.batch();
+            if is_known && (status.batch, status.tick) != member.seen {
                 member.seen = (status.batch, status.tick);
                 self.seen = self.seen.max(member.seen);
                 self.seen_ns = now_ns();
@@ -304,6 +330,7 @@ impl<'a> Pipeline<'a> {
             if let Some(outcomes) = self.sequencer.report(message.header(), message.items()) {
                 self.batch_is_broken = false;
                 self.stalls_in_a_row = 0;
+                self.stops_in_a_row = 0;
                 self.driving_ns += now_ns() - self.issued_ns;
                 self.driving_ticks +=
                     outcomes.iter().map(|outcome| outcome.report.ticks).max().unwrap_or_default();
@@ -321,14 +348,19 @@ impl<'a> Pipeline<'a> {
         let mut heard = false;
         while let Some(message) = self.safety.receive()? {
             heard = true;
-            self.gates.resize(message.items().len(), Safety::NORMAL);
-            for (slot, (before, now)) in self.gates.iter_mut().zip(message.items()).enumerate() {
-                if std::mem::replace(before, now.state) == now.state {
+            self.gates.resize_with(message.items().len(), GateLog::default);
+            for (slot, (gate, now)) in self.gates.iter_mut().zip(message.items()).enumerate() {
+                if gate.begins_to_stand(has(now.reasons, Safety::STANDS)) {
+                    let what = describe_reasons(Safety::STANDS);
+                    self.progress.notice(&format!("vehicle {slot}: {what}"));
+                }
+                if !gate.changes_to(now.state) {
                     continue;
                 }
+                let of_the_drive = now.reasons & Safety::OF_THE_DRIVE != 0;
                 let why = describe_reasons(now.reasons);
                 match now.state {
-                    Safety::STOPPING if self.realtime => self.progress.notice(&format!(
+                    Safety::STOPPING if self.realtime && !of_the_drive => self.progress.notice(&format!(
                         "vehicle {slot} is being stopped: {why}; `pathtune rearm` lets it drive again"
                     )),
                     Safety::STOPPING => {
@@ -336,11 +368,25 @@ impl<'a> Pipeline<'a> {
                     }
                     Safety::STOPPED => {
                         self.progress.notice(&format!("vehicle {slot} stands"));
-                        // In a training there is nobody to rearm the vehicle: the drive is made again from the start.
-                        self.batch_is_broken |=
-                            self.by_clock && !self.realtime && self.sequencer.is_driving();
+                        // There is nobody to rearm the vehicle: the drive is made again from the start. A stop for how
+                        // it drove is the drive's result instead.
+                        let drives = self.sequencer.is_driving();
+                        if self.by_clock && !self.realtime && !of_the_drive && drives {
+                            self.stops_in_a_row += 1;
+                            if self.stops_in_a_row > STOPS_IN_A_ROW {
+                                return Err(Failure::GaveUp(format!(
+                                    "gave up: the vehicle was stopped {STOPS_IN_A_ROW} times on the same drive, and \
+                                     again: {why}"
+                                )));
+                            }
+                            self.batch_is_broken = true;
+                        }
                     }
-                    _ => tracing::info!(slot, state = now.state, why, "gate"),
+                    state => {
+                        if let Some(untold) = gate.line_due(now_ns()) {
+                            tracing::info!(slot, state, why, untold, "gate");
+                        }
+                    }
                 }
             }
         }
@@ -391,9 +437,12 @@ impl<'a> Pipeline<'a> {
         if self.sequencer.is_driving() && self.seen.0 == self.sequencer.batch() {
             self.progress.show_tick(self.seen.1, self.sequencer.ticks());
         }
-        if self.realtime && now.saturating_sub(self.warned_ns) >= WARN_EVERY_NS {
+        if now.saturating_sub(self.warned_ns) >= WARN_EVERY_NS {
             self.warned_ns = now;
-            self.tell_warnings();
+            self.tell_cut_logs();
+            if self.realtime {
+                self.tell_warnings();
+            }
         }
         let patient = self.members.iter().any(|member| !member.entry.is_deterministic());
         let waits_for_start = patient && self.seen_ns <= self.issued_ns;
@@ -433,6 +482,19 @@ impl<'a> Pipeline<'a> {
     /// Time that all processes have waited for a processor.
     fn waited_ns(&self) -> u64 {
         self.members.iter().map(Member::waited_ns).sum()
+    }
+
+    /// Says once of each process that its log is longer than what is kept of it.
+    fn tell_cut_logs(&mut self) {
+        for member in &mut self.members {
+            if member.is_newly_cut() {
+                let log = member.log.display();
+                self.progress.notice(&format!(
+                    "{} writes a long log: only the end is kept, in {log} and {log}.old",
+                    member.name
+                ));
+            }
+        }
     }
 
     /// Passes on the vehicle's warnings: in real time it may be waiting for something that only the user can provide.
@@ -531,7 +593,10 @@ impl<'a> Pipeline<'a> {
     fn stop_all(&mut self) {
         for member in self.members.iter_mut().rev() {
             if let Some(process) = member.state.process()
-                && !process.stop(STOPS_WITHIN)
+                && !process.stop(match member.entry.role {
+                    Role::Recorder => WRITES_WITHIN,
+                    _ => STOPS_WITHIN,
+                })
             {
                 self.progress.notice(&format!("{} did not stop, and was killed", member.name));
             }
@@ -542,16 +607,7 @@ impl<'a> Pipeline<'a> {
 
 /// Describes what is wrong with a vehicle, from the bits of [`Safety::reasons`].
 pub(crate) fn describe_reasons(reasons: u32) -> String {
-    let words = [
-        (Safety::COMMAND_STALE, "no answer from the controller"),
-        (Safety::COMMAND_INVALID, "the controller's answer is not finite"),
-        (Safety::ODOMETRY_STALE, "no odometry"),
-        (Safety::ODOMETRY_INVALID, "the odometry is not finite"),
-        (Safety::ODOMETRY_JUMP, "the measured pose jumped"),
-        (Safety::TIME_BACK, "the odometry's time went back"),
-        (Safety::RESTARTED, "the supervisor was restarted while it stopped the vehicle"),
-    ];
-    let there: Vec<_> = words.iter().filter(|(bit, _)| has(reasons, *bit)).map(|it| it.1).collect();
+    let there = Safety::describe(reasons);
     if there.is_empty() { "nothing is wrong".to_owned() } else { there.join(", ") }
 }
 

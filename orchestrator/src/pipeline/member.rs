@@ -8,6 +8,7 @@ use ipc_types::Status;
 use outcome::ProcessFacts;
 use runtime::Attachment;
 use runtime::clock::now_ns;
+use runtime::log_file::is_cut;
 
 use crate::pipeline::cores::Placement;
 use crate::pipeline::plan::Plan;
@@ -39,11 +40,17 @@ pub(crate) struct Member {
     suspected: bool,
     /// The batch and tick that it reported last.
     pub(crate) seen: (u64, u64),
+    /// The user knows that its log is cut.
+    cut_is_told: bool,
     /// What it has warned of, with the numbers removed.
     warned: HashSet<String>,
+    /// When it was started last.
+    started_ns: u64,
+    /// The user knows that it reports counts which cannot be.
+    counts_are_odd: bool,
     /// Samples that its earlier incarnations refused; `refused` has those of this one.
     refused_before: RefusedSamples,
-    pub(crate) refused: RefusedSamples,
+    refused: RefusedSamples,
 }
 
 /// Samples that a process refused.
@@ -64,6 +71,14 @@ impl RefusedSamples {
             rejected: self.rejected + other.rejected,
             late: self.late + other.late,
         }
+    }
+
+    /// Whether a process that reported these counts may report `next` when it has run for `elapsed_ns`: counts do not
+    /// fall, and no process takes a message in less than 100 ns.
+    fn may_become(self, next: Self, elapsed_ns: u64) -> bool {
+        [(self.dropped, next.dropped), (self.rejected, next.rejected), (self.late, next.late)]
+            .into_iter()
+            .all(|(before, now)| now >= before && now <= elapsed_ns / 100)
     }
 }
 
@@ -106,7 +121,10 @@ impl Member {
             pid: 0,
             suspected: false,
             seen: (0, 0),
+            cut_is_told: false,
             warned: HashSet::new(),
+            started_ns: 0,
+            counts_are_odd: false,
             refused_before: RefusedSamples::default(),
             refused: RefusedSamples::default(),
         }
@@ -160,7 +178,8 @@ impl Member {
         tracing::info!(process = self.name, pid = self.pid, "started");
         self.suspected = false;
         let vitals = self.vitals().unwrap_or_default();
-        self.state = State::Starting { process, since_ns: now_ns(), vitals };
+        self.started_ns = now_ns();
+        self.state = State::Starting { process, since_ns: self.started_ns, vitals };
         Ok(())
     }
 
@@ -176,6 +195,15 @@ impl Member {
     /// Time that it has been ready to run and waited for a processor, since it started.
     pub(crate) fn waited_ns(&self) -> u64 {
         self.vitals().unwrap_or_default().waited_ns
+    }
+
+    /// Takes the counts of a sign of life, if a process can have them. Returns false the first time that it cannot.
+    pub(crate) fn take_counts(&mut self, counts: RefusedSamples, now_ns: u64) -> bool {
+        if self.refused.may_become(counts, now_ns.saturating_sub(self.started_ns)) {
+            self.refused = counts;
+            return true;
+        }
+        std::mem::replace(&mut self.counts_are_odd, true)
     }
 
     /// Notes a sign of life; returns whether it was the first.
@@ -247,6 +275,13 @@ impl Member {
         warnings.filter(is_new).collect()
     }
 
+    /// Whether something was left out of its log, the first time that this is so.
+    pub(crate) fn is_newly_cut(&mut self) -> bool {
+        let is_new = !self.cut_is_told && is_cut(&self.log);
+        self.cut_is_told |= is_new;
+        is_new
+    }
+
     pub(crate) fn given_up(&self, why: &str) -> Failure {
         let lines = last_lines(&self.log, 5);
         let said = if lines.is_empty() { "nothing".to_owned() } else { lines.join(" | ") };
@@ -282,5 +317,20 @@ impl Member {
             rejected,
             late,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_that_fall_or_rise_faster_than_messages_come_are_no_counts() {
+        let counts = |dropped| RefusedSamples { dropped, rejected: 3, late: 0 };
+        assert!(counts(5).may_become(counts(5), 1_000));
+        assert!(counts(5).may_become(counts(10), 1_000));
+        assert!(!counts(5).may_become(counts(4), 1_000_000_000));
+        assert!(!counts(5).may_become(counts(11), 1_000));
+        assert!(!counts(5).may_become(counts(u64::MAX), u64::MAX));
     }
 }

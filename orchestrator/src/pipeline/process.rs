@@ -1,15 +1,23 @@
 //! Starts and ends processes. Decides nothing.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::os::fd::OwnedFd;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
+use config::open_regular;
 use runtime::{Attachment, cleanup};
-use rustix::process::{Pid, PidfdFlags, Signal, kill_process_group, pidfd_open};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::process::{
+    Pid, PidfdFlags, Signal, kill_process, kill_process_group, pidfd_open,
+};
+use rustix::time::Timespec;
+
+use crate::pipeline::cgroup::{self, Cgroup};
+use crate::pipeline::{guardian, orphans};
 
 /// What a process of the pipeline runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,6 +34,17 @@ pub struct Process {
     child: Child,
     /// Readable once the process has died.
     pub pidfd: OwnedFd,
+    guarded: Option<Guarded>,
+}
+
+/// What is known of a user's program, of which `child` is the guardian.
+#[derive(Debug)]
+struct Guarded {
+    run: u64,
+    /// Process id of the program, if it could be started.
+    program: Option<u32>,
+    /// Where the guardian names process ids, one a line.
+    told: BufReader<ChildStdout>,
 }
 
 impl Process {
@@ -38,32 +57,34 @@ impl Process {
     pub fn start(program: &Program, attachment: &Attachment, log: &Path) -> io::Result<Self> {
         // The binary that is running now, even if its file has been replaced since.
         let mut command = Command::new("/proc/self/exe");
-        command.arg0("pathtune");
+        let output: File = OpenOptions::new().create(true).append(true).open(log)?;
+        command.arg0("pathtune").arg("service").stderr(output.try_clone()?);
         match program {
             Program::Service(name) => {
-                command.args(["service", name]);
+                command.arg(name).stdout(output);
             }
             Program::Command(words) => {
-                // Ties itself to our life and moves to its core, then becomes the user's program.
-                command.args(["service", "exec", "--"]);
-                command.args(shell_words::split(words).map_err(io::Error::other)?);
+                orphans::adopt();
+                command.arg(guardian::SERVICE).arg(log).arg(words).stdout(Stdio::piped());
             }
         }
-        let output: File = OpenOptions::new().create(true).append(true).open(log)?;
         attachment.give_to(&mut command);
-        let child = command
-            .process_group(0)
-            .stdin(Stdio::null())
-            .stdout(output.try_clone()?)
-            .stderr(output)
-            .spawn()?;
+        let mut child = command.process_group(0).stdin(Stdio::null()).spawn()?;
+        orphans::started(&child);
         let pidfd = pidfd_open(pid_of(&child), PidfdFlags::empty())?;
-        Ok(Self { child, pidfd })
+        let told = child.stdout.take().map(BufReader::new);
+        let guarded = told.map(|told| Guarded { run: attachment.names.run, program: None, told });
+        let mut process = Self { child, pidfd, guarded };
+        if let Some(guarded) = &mut process.guarded {
+            guarded.learn_program()?;
+        }
+        Ok(process)
     }
 
-    /// Its process id.
+    /// Its process id; that of the user's program, if it is one.
     pub fn id(&self) -> u32 {
-        self.child.id()
+        let program = self.guarded.as_ref().and_then(|guarded| guarded.program);
+        program.unwrap_or(self.child.id())
     }
 
     /// How it died, if it has.
@@ -73,31 +94,86 @@ impl Process {
 
     /// Asks it to stop.
     pub(crate) fn interrupt(&self) {
-        let _ = kill_process_group(pid_of(&self.child), Signal::INT);
+        let _ = match self.guarded {
+            // The guardian passes it on.
+            Some(_) => kill_process(pid_of(&self.child), Signal::INT),
+            None => kill_process_group(pid_of(&self.child), Signal::INT),
+        };
     }
 
-    /// Kills it and all its children, and waits for its end.
+    /// Kills it and all that it has started, and waits for its end.
     pub fn kill(&mut self) -> Option<ExitStatus> {
-        let _ = kill_process_group(pid_of(&self.child), Signal::KILL);
-        self.child.wait().ok()
+        let Some(Guarded { run, .. }) = self.guarded else {
+            let _ = kill_process_group(pid_of(&self.child), Signal::KILL);
+            return self.child.wait().ok();
+        };
+        let guardian = pid_of(&self.child);
+        if self.try_wait().is_none() {
+            let _ = kill_process(guardian, Signal::TERM);
+            let _ = kill_process(guardian, Signal::CONT);
+            if !self.ends_within(GUARDIAN_ENDS_WITHIN) {
+                let _ = kill_process(guardian, Signal::KILL);
+            }
+        }
+        let status = self.child.wait().ok()?;
+        // It may have been killed before it could do its work; then that falls to this process.
+        if status.signal().is_some() {
+            if let Some(cgroup) = Cgroup::left_by(run, self.child.id()) {
+                cgroup.kill();
+            }
+            orphans::kill_all();
+        }
+        Some(status)
     }
 
     /// Asks it to stop, waits for at most `patience`, and kills what is left of it. Returns whether it stopped by
     /// itself.
     pub fn stop(&mut self, patience: Duration) -> bool {
         self.interrupt();
-        let until = Instant::now() + patience;
-        let stopped = loop {
-            if self.try_wait().is_some() {
-                break true;
-            }
-            if Instant::now() >= until {
-                break false;
-            }
-            std::thread::sleep(Duration::from_millis(1));
-        };
+        let stopped = self.ends_within(patience);
         self.kill();
         stopped
+    }
+
+    fn ends_within(&mut self, patience: Duration) -> bool {
+        let until = Instant::now() + patience;
+        while self.try_wait().is_none() {
+            if Instant::now() >= until {
+                return false;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        true
+    }
+
+    /// The processes that a user's program has left behind, once it has ended by itself.
+    pub(crate) fn survivors(&mut self) -> Vec<u32> {
+        let Some(guarded) = &mut self.guarded else { return Vec::new() };
+        std::iter::from_fn(|| guarded.next_id()).collect()
+    }
+}
+
+/// A guardian has only to kill: if that takes longer, it is stuck.
+const GUARDIAN_ENDS_WITHIN: Duration = Duration::from_secs(3);
+/// How long a guardian may take to start its program.
+const GUARDIAN_STARTS_WITHIN: Timespec = Timespec { tv_sec: 10, tv_nsec: 0 };
+
+impl Guarded {
+    /// Waits until the guardian has started the program, or has failed to.
+    fn learn_program(&mut self) -> io::Result<()> {
+        let mut fds = [PollFd::new(self.told.get_ref(), PollFlags::IN)];
+        if poll(&mut fds, Some(&GUARDIAN_STARTS_WITHIN)) == Ok(0) {
+            return Err(io::Error::other("its guardian hangs"));
+        }
+        self.program = self.next_id();
+        Ok(())
+    }
+
+    /// The next process id that the guardian names, or none once it has ended.
+    fn next_id(&mut self) -> Option<u32> {
+        let mut line = String::new();
+        self.told.read_line(&mut line).ok()?;
+        line.trim().parse().ok()
     }
 }
 
@@ -113,7 +189,7 @@ fn pid_of(child: &Child) -> Pid {
     Pid::from_child(child)
 }
 
-/// Becomes a user's program: the second half of [`Process::start`] with a command, and the service `exec`.
+/// Becomes a user's program: the service `exec`, which a guardian starts.
 ///
 /// # Errors
 /// Always, if it returns at all: the orchestrator is gone, or the program cannot be executed.
@@ -126,10 +202,14 @@ pub fn exec(words: &[String]) -> anyhow::Error {
         return error;
     }
     attachment.take_place();
+    if let Some(folder) = std::env::var_os(guardian::CGROUP) {
+        // Without a group, the guardian kills its processes one by one.
+        let _ = cgroup::enter(Path::new(&folder));
+    }
     let Some((program, arguments)) = words.split_first() else {
         return anyhow::anyhow!("no program to execute");
     };
-    let error = Command::new(program).args(arguments).exec();
+    let error = Command::new(program).args(arguments).env_remove(guardian::CGROUP).exec();
     anyhow::Error::new(error).context(format!("failed to execute {program}"))
 }
 
@@ -172,6 +252,7 @@ pub(crate) fn spawn_cleaner(attachment: &Attachment) -> io::Result<Child> {
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
+        .inspect(orphans::started)
 }
 
 /// Runs the helper that removes dead nodes from the bus; kills it if it hangs, as it may on half-made files.
@@ -205,7 +286,7 @@ pub fn describe(status: ExitStatus) -> String {
 /// The last lines of a log, made safe for a terminal: a foreign program may have written anything.
 pub fn last_lines(log: &Path, count: usize) -> Vec<String> {
     let mut bytes = Vec::new();
-    let read = File::open(log).and_then(|mut file| {
+    let read = open_regular(log).and_then(|mut file| {
         let length = file.metadata()?.len();
         file.seek(SeekFrom::Start(length.saturating_sub(LOG_END)))?;
         file.take(LOG_END).read_to_end(&mut bytes)

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use config::launch::Launch;
-use runtime::waiting;
+use config::open_regular;
+use runtime::{limits, log_file, waiting};
 use rustix::mm::munlockall;
 
 use crate::runs::files::open_lock;
@@ -110,7 +111,7 @@ pub(crate) fn lock_folder(folder: &Path) -> Result<fs::File, Failure> {
 
 /// Prevents others from resuming the training in a folder, without leaving a trace; refused if a living run uses it.
 pub(crate) fn look_into(folder: &Path) -> Result<Option<fs::File>, Failure> {
-    let Ok(file) = fs::File::open(folder.join("lock")) else { return Ok(None) };
+    let Ok(file) = open_regular(&folder.join("lock")) else { return Ok(None) };
     let fail = |why: &str| Err(Failure::User(format!("{}: {why}", folder.display())));
     match file.try_lock_shared() {
         Ok(()) => Ok(Some(file)),
@@ -130,25 +131,44 @@ pub(crate) fn unmake_folder(folder: &Path) {
     let _ = fs::remove_dir(folder);
 }
 
-/// Checks that `/dev/shm` has room for a run whose messages carry `max_len` elements.
-///
-/// If it fills up in the middle of a run, the result is a bus error, not an error that could be handled.
-pub(crate) fn check_shared_memory(max_len: usize) -> Result<(), Failure> {
-    let needed = needed_bytes(max_len);
+/// Checks that this process may open enough files, and that `/dev/shm` has room for a run whose messages carry `max_len`
+/// elements.
+pub(crate) fn check_resources(max_len: usize) -> Result<(), Failure> {
+    let advice = "take a smaller --fleet";
+    check_limits()?;
+    check_shared_memory(&format!("a run with {max_len} vehicles"), needed_bytes(max_len), advice)
+}
+
+/// The same for an observer of a run. What it lacks, the run's own processes would lack, too, when they connect to it.
+pub(crate) fn check_resources_of_observer() -> Result<(), Failure> {
+    check_limits()?;
+    check_shared_memory("an observer", OBSERVER_BYTES, "end other runs")
+}
+
+/// Checks the limits that the user has set for processes.
+fn check_limits() -> Result<(), Failure> {
+    limits::check_files().map_err(Failure::User)?;
+    log_file::limit().map(|_| ()).map_err(Failure::User)
+}
+
+/// Checks that `/dev/shm` has room: if it fills up later, the result is a bus error, not one that could be handled.
+fn check_shared_memory(who: &str, needed: u64, advice: &str) -> Result<(), Failure> {
     let stat = rustix::fs::statvfs("/dev/shm")
         .map_err(|error| Failure::User(format!("/dev/shm cannot be used: {error}")))?;
     let free = stat.f_bavail.saturating_mul(stat.f_frsize);
     if free >= needed {
         return Ok(());
     }
-    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     Err(Failure::User(format!(
-        "/dev/shm is too small: a run with {max_len} vehicles needs {} MiB, and {} MiB are free; \
-         free some of it, enlarge it (mount -o remount,size=… /dev/shm), or take a smaller --fleet",
-        mib(needed),
-        mib(free),
+        "/dev/shm is too small: {who} needs {} MiB, and {} MiB are free; free some of it, enlarge it \
+         (mount -o remount,size=… /dev/shm), or {advice}",
+        needed.div_ceil(1 << 20),
+        free >> 20,
     )))
 }
+
+/// Shared memory that an observer and the ports that are connected to it use: twice what was found.
+const OBSERVER_BYTES: u64 = 4 << 20;
 
 /// Shared memory that a run may use.
 fn needed_bytes(max_len: usize) -> u64 {

@@ -1,13 +1,14 @@
 //! Runs a planned pipeline to its end.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::path::Path;
 use std::sync::Mutex;
 
 use anyhow::Context;
 use config::SweepPlan;
 use jiff::Timestamp;
-use runtime::run::{LOCK_FILE, RunNames};
+use runtime::log_file::LogFile;
+use runtime::run::RunNames;
 
 use crate::pipeline::main_loop::{Pipeline, log_of_orchestrator};
 use crate::pipeline::plan::{PipelineFacts, Plan};
@@ -70,18 +71,9 @@ pub(crate) struct PrivateNames {
 impl PrivateNames {
     /// Makes new ones.
     pub(crate) fn create() -> Result<Self, Failure> {
-        let names = RunNames::create().map_err(|error| Failure::User(error.to_string()))?;
-        let lock = File::create(names.root.join(LOCK_FILE)).and_then(|file| {
-            file.lock()?;
-            Ok(file)
-        });
-        match lock {
-            Ok(lock) => Ok(Self { names, _lock: lock }),
-            Err(error) => {
-                names.remove();
-                Err(error.into())
-            }
-        }
+        let (names, lock) =
+            RunNames::start().map_err(|error| Failure::User(error.to_string()))?;
+        Ok(Self { names, _lock: lock })
     }
 }
 
@@ -98,11 +90,7 @@ fn write(path: &Path, text: &str) -> Result<(), Failure> {
 
 /// The orchestrator's own log goes to a file: the terminal belongs to the user.
 fn log_to(path: &Path) -> Result<(), Failure> {
-    let file = OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(path)
-        .with_context(|| format!("failed to write {path:?}"))?;
-    runtime::logging::init_to(Mutex::new(file));
+    let log = LogFile::open(path).with_context(|| format!("failed to write {path:?}"))?;
+    runtime::logging::init_to(Mutex::new(log));
     Ok(())
 }

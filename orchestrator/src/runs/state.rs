@@ -10,6 +10,7 @@ use outcome::ProcessFacts;
 use runtime::run::{RunNames, living_runs};
 use serde::{Deserialize, Serialize};
 
+use crate::runs::preflight::check_resources_of_observer;
 use crate::words::Failure;
 
 /// What a living run reports about itself.
@@ -103,6 +104,29 @@ impl RunState {
     }
 }
 
+/// What `pathtune status --json` says of a living run.
+#[derive(Debug, Serialize)]
+pub(crate) struct ShownRun {
+    #[serde(flatten)]
+    pub(crate) state: RunState,
+    /// Root path and prefix of its iceoryx2.
+    root: PathBuf,
+    prefix: String,
+}
+
+impl ShownRun {
+    /// Those living runs of this user that are named, or all of them.
+    pub(crate) fn named(run: Option<&str>) -> Result<Vec<Self>, Failure> {
+        let only = run.map(|_| RunState::find(run)).transpose()?;
+        let is_meant = |state: &RunState| only.as_ref().is_none_or(|only| only.run == state.run);
+        let living = living_runs().into_iter().filter_map(|names| {
+            let state = RunState::read(&names).filter(is_meant)?;
+            Some(Self { state, prefix: names.prefix(), root: names.root })
+        });
+        Ok(living.collect())
+    }
+}
+
 /// What observers need to know about a living run.
 #[derive(Debug, Clone)]
 pub struct LivingRun {
@@ -118,6 +142,7 @@ pub struct LivingRun {
 /// If no run matches, or several do.
 pub fn living_run(run: Option<&str>) -> Result<LivingRun, Failure> {
     let state = RunState::find(run)?;
+    check_resources_of_observer()?;
     let names = living_runs()
         .into_iter()
         .find(|names| format!("{:016x}", names.run) == state.run)

@@ -2,10 +2,12 @@
 //! file or the new one.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+use config::{open_regular, read_small};
 
 use crate::words::Failure;
 
@@ -31,7 +33,7 @@ impl VehicleFile {
         let path = fs::canonicalize(named).map_err(|error| fail(error.to_string()))?;
         let until = Instant::now() + PATIENCE;
         loop {
-            let mut file = File::open(&path).map_err(|error| fail(error.to_string()))?;
+            let file = open_regular(&path).map_err(|error| fail(error.to_string()))?;
             while file.try_lock().is_err() {
                 if Instant::now() > until {
                     return Err(fail("another promotion is using it; try again".to_owned()));
@@ -43,8 +45,7 @@ impl VehicleFile {
             if (ours.dev(), ours.ino()) != (there.dev(), there.ino()) {
                 continue;
             }
-            let mut text = String::new();
-            file.read_to_string(&mut text).map_err(|error| fail(error.to_string()))?;
+            let text = read_small(&path).map_err(|error| fail(error.to_string()))?;
             // What a killed predecessor left: whoever holds the lock is the only one to write.
             let _ = fs::remove_file(part_of(&path));
             return Ok(Self { text, named: named.to_owned(), path, file });

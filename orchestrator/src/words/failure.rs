@@ -5,12 +5,14 @@ use config::ConfigError;
 /// How a command ends when it does not succeed.
 #[derive(Debug)]
 pub enum Failure {
+    /// A drive was made, but did not arrive; why. Exit code 2.
+    NotArrived(String),
     /// A user's mistake: one line that says what to do. Exit code 64.
     User(String),
     /// The pipeline could not be kept alive. Exit code 70.
     GaveUp(String),
-    /// A signal asked the run to stop. Exit code 128 + its number.
-    Interrupted(i32),
+    /// A signal asked the run to stop; what it left and how to go on. Exit code 128 + the signal's number.
+    Interrupted(i32, String),
     /// Anything else. Exit code 1.
     Other(anyhow::Error),
 }
@@ -19,9 +21,10 @@ impl Failure {
     /// The exit code.
     pub fn code(&self) -> u8 {
         match self {
+            Failure::NotArrived(_) => 2,
             Failure::User(_) => 64,
             Failure::GaveUp(_) => 70,
-            Failure::Interrupted(signal) => 128 + *signal as u8,
+            Failure::Interrupted(signal, _) => 128 + *signal as u8,
             Failure::Other(_) => 1,
         }
     }
@@ -29,8 +32,9 @@ impl Failure {
     /// The line that the user sees.
     pub fn message(&self) -> String {
         match self {
+            Failure::NotArrived(why) => format!("the drive did not arrive: {why}"),
             Failure::User(message) | Failure::GaveUp(message) => message.clone(),
-            Failure::Interrupted(_) => "interrupted; the processes were stopped".to_owned(),
+            Failure::Interrupted(_, left) => format!("interrupted; {left}"),
             Failure::Other(error) => format!("{error:#}"),
         }
     }

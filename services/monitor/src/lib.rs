@@ -122,7 +122,7 @@ fn budget_ns(options: &Options) -> Result<u64, MonitorError> {
         return Ok(u64::try_from(budget.as_nanos()).unwrap_or(u64::MAX));
     }
     let path = options.folder.join("config.toml");
-    let text = std::fs::read_to_string(&path).with_context(|| {
+    let text = config::read_small(&path).with_context(|| {
         format!("failed to read {}; name the deadline with --budget", path.display())
     })?;
     let config = RunConfig::from_resolved(&text)

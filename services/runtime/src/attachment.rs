@@ -27,7 +27,7 @@ pub struct Attachment {
     pub wait: Wait,
     /// Priority of first-in-first-out scheduling, if the processes of the ring must request it; see [`use_fifo`].
     pub fifo: Option<u8>,
-    /// The orchestrator's process id.
+    /// Process id of the process that starts this one: the orchestrator, or the guardian of a user's program.
     pub parent: i32,
     /// Faults to inject, with their seed; see [`crate::chaos`].
     pub chaos: Option<(String, u64)>,
@@ -42,9 +42,12 @@ const INCARNATION: &str = "PATHTUNE_INCARNATION";
 const CORE: &str = "PATHTUNE_CORE";
 const WAIT: &str = "PATHTUNE_WAIT";
 const FIFO: &str = "PATHTUNE_FIFO";
-const PARENT: &str = "PATHTUNE_PARENT";
+const PARENT: &str = Attachment::PARENT;
 
 impl Attachment {
+    /// The variable with the process id of the parent, with which the process ends.
+    pub const PARENT: &str = "PATHTUNE_PARENT";
+
     /// Reads the environment.
     ///
     /// # Errors
@@ -86,7 +89,11 @@ impl Attachment {
     pub fn give_to(&self, child: &mut std::process::Command) {
         for (name, _) in std::env::vars_os() {
             let ours = name.to_str().is_some_and(|name| name.starts_with("PATHTUNE_"));
-            let kept = [crate::logging::LOG_VAR, crate::periods::FILE_VARIABLE];
+            let kept = [
+                crate::logging::LOG_VAR,
+                crate::log_file::LIMIT_VARIABLE,
+                crate::periods::FILE_VARIABLE,
+            ];
             if ours && kept.iter().all(|kept| name != *kept) {
                 child.env_remove(name);
             }

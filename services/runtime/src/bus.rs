@@ -457,6 +457,15 @@ fn service_name(name: &str) -> ServiceName {
     ServiceName::new(name).expect("topic names are short and not empty")
 }
 
+/// The configuration of a run as text, for programs that know iceoryx2 and nothing of us, such as its own command line.
+///
+/// # Errors
+/// If the run has a folder whose path iceoryx2 cannot use.
+pub fn iox2_config(names: &RunNames) -> Result<String, BusError> {
+    let config = transport_config(names)?;
+    toml::to_string(&config).map_err(refused(|| "write the configuration".to_owned()))
+}
+
 fn transport_config(names: &RunNames) -> Result<Config, BusError> {
     let mut config = Config::default();
     let global = &mut config.global;

@@ -9,6 +9,8 @@ mod bus;
 pub mod chaos;
 pub mod cleanup;
 pub mod clock;
+pub mod limits;
+pub mod log_file;
 pub mod logging;
 pub mod observer;
 pub mod periods;
@@ -18,6 +20,6 @@ mod serve;
 pub mod waiting;
 
 pub use attachment::Attachment;
-pub use bus::{Alarm, Bus, BusError, Inlet, Outlet, Received, Written};
+pub use bus::{Alarm, Bus, BusError, Inlet, Outlet, Received, Written, iox2_config};
 pub use serve::{Counters, Service, join, serve};
 pub use waiting::{Wait, Waiting};

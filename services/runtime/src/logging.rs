@@ -1,4 +1,7 @@
-//! Logs: one line per event, to standard error, which the orchestrator redirects to the process's log file.
+//! Logs: one line per event, to the process's log file, to which the orchestrator has redirected its standard error.
+
+use std::path::Path;
+use std::sync::Mutex;
 
 use tracing::level_filters::LevelFilter;
 use tracing_subscriber::Layer;
@@ -7,12 +10,17 @@ use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
+use crate::log_file::LogFile;
+
 /// The variable that selects what is logged.
 pub(crate) const LOG_VAR: &str = "PATHTUNE_LOG";
 
-/// Starts logging to standard error.
-pub fn init() {
-    init_to(std::io::stderr);
+/// Starts logging to standard error; if that leads to a log in `folder`, this process keeps it below its limit.
+pub(crate) fn init(folder: &Path) {
+    match LogFile::of_standard_error(folder) {
+        Some(log) => init_to(Mutex::new(log)),
+        None => init_to(std::io::stderr),
+    }
 }
 
 /// Starts logging. `PATHTUNE_LOG` selects what is logged: a level, and levels of single targets, such as

@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 /// Name of the file in a run's folder that its orchestrator keeps locked for as long as it lives.
 pub const LOCK_FILE: &str = "lock";
 
+
 /// What names a run on its machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RunNames {
@@ -28,13 +29,57 @@ impl RunNames {
     /// # Errors
     /// If the folder cannot be created, or belongs to another user.
     pub fn create() -> io::Result<Self> {
+        while_others_end(|| Self::create_in(&base_folder()))
+    }
+
+    /// The names of a new run, as [`RunNames::create`] makes them, with the lock that keeps it alive.
+    ///
+    /// # Errors
+    /// As [`RunNames::create`].
+    pub fn start() -> io::Result<(Self, fs::File)> {
+        while_others_end(|| Self::start_in(&base_folder()))
+    }
+
+    fn create_in(base: &Path) -> io::Result<Self> {
         // Each RandomState is keyed afresh from the system's randomness.
         let run = RandomState::new().build_hasher().finish() | 1;
-        let base = base_folder();
-        make_private(&base)?;
+        make_private(base)?;
         let root = base.join(format!("{run:016x}"));
         make_private(&root)?;
         Ok(Self { run, root })
+    }
+
+    fn start_in(base: &Path) -> io::Result<(Self, fs::File)> {
+        let names = Self::create_in(base)?;
+        match names.lock() {
+            Ok(lock) => Ok((names, lock)),
+            Err(error) => {
+                names.remove();
+                Err(error)
+            }
+        }
+    }
+
+    /// Makes the run's lock, which is locked before it has its name: an unlocked one is that of a dead run.
+    fn lock(&self) -> io::Result<fs::File> {
+        let born = self.root.join(".lock");
+        let lock = fs::File::create_new(&born)?;
+        lock.lock()?;
+        // Fails if the run has been taken for a dead one, because it took so long to come here.
+        fs::hard_link(&born, self.root.join(LOCK_FILE)).map_err(|error| match error.kind() {
+            io::ErrorKind::AlreadyExists => io::ErrorKind::NotFound.into(),
+            _ => error,
+        })?;
+        let _ = fs::remove_file(born);
+        Ok(lock)
+    }
+
+    /// Takes the lock of a dead run, if nobody else has taken it meanwhile.
+    fn take_over(&self) -> Option<fs::File> {
+        let path = self.root.join(LOCK_FILE);
+        let lock = fs::File::create_new(&path).or_else(|_| fs::File::open(&path)).ok()?;
+        lock.try_lock().ok()?;
+        Some(lock)
     }
 
     /// Prefix of the run's names in `/dev/shm`.
@@ -51,6 +96,20 @@ impl RunNames {
         }
     }
 }
+
+/// Tries again if the folder above the run's own has just been removed by another run that ended.
+fn while_others_end<T>(mut create: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    for _ in 1..ATTEMPTS {
+        match create() {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            made => return made,
+        }
+    }
+    create()
+}
+
+/// How often to try: each time, another run must have ended at just that moment.
+const ATTEMPTS: u32 = 100;
 
 /// Prefix of a run's names in `/dev/shm`.
 pub fn prefix(run: u64) -> String {
@@ -132,11 +191,14 @@ fn segments() -> Vec<String> {
 ///
 /// A run is alive exactly as long as its orchestrator holds the lock in its folder.
 pub fn sweep_dead_runs() -> Vec<RunNames> {
-    let dead = dead_runs();
-    for names in &dead {
-        names.remove();
+    let mut swept = Vec::new();
+    for names in dead_runs() {
+        if let Some(_lock) = names.take_over() {
+            names.remove();
+            swept.push(names);
+        }
     }
-    dead
+    swept
 }
 
 /// Runs of this user whose orchestrator is gone.
@@ -226,6 +288,28 @@ mod tests {
         assert_eq!(run_of_segment(&format!("{}rest", prefix(0xab))), Some(0xab));
         assert_eq!(run_of_segment("iox2_1234"), None);
         assert_eq!(run_of_segment("pathtune_é"), None);
+    }
+
+    #[test]
+    fn a_run_that_starts_is_not_swept_and_outlives_the_end_of_the_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let base = folder.path().join("runs");
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for _ in 0..200 {
+                        let (names, _lock) =
+                            while_others_end(|| RunNames::start_in(&base)).unwrap();
+                        assert!(!is_dead(&names.root));
+                        names.remove();
+                    }
+                });
+            }
+        });
+        // One that is taken for dead before it has its lock does not come to life.
+        let names = RunNames::create_in(&base).unwrap();
+        let _sweeper = names.take_over().unwrap();
+        assert_eq!(names.lock().unwrap_err().kind(), io::ErrorKind::NotFound);
     }
 
     #[test]

@@ -22,7 +22,7 @@ use crate::{Attachment, Bus};
 pub fn join() -> Result<(Attachment, Bus, RunConfig)> {
     let attachment = Attachment::from_env()?;
     attachment.tie_to_parent()?;
-    crate::logging::init();
+    crate::logging::init(&attachment.folder.join("logs"));
     let path = attachment.folder.join("config.toml");
     let text =
         std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;

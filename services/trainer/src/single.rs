@@ -1,12 +1,17 @@
 //! One drive with given parameters: what `pathtune drive` makes.
 
+use std::collections::BTreeMap;
+
 use config::{ConfigError, Parameters, RunConfig, SweepPlan};
-use ipc_types::{DriveReport, Odometry, has};
+use ipc_types::{DriveReport, Odometry, Safety, has};
 use outcome::Switch;
-use tracking::{EndReason, Objective};
+use tracking::{
+    DriveRecorder, EndReason, Objective, PathFollower, Reference, TickMeasures, TrackingError,
+};
 
 use crate::digest::digest_of_drives;
 use crate::ranking::measures_of;
+use crate::recording::Row;
 use crate::sweep::PlannedDrive;
 use crate::wire::Driven;
 
@@ -41,6 +46,41 @@ impl SingleDrive {
         }]
     }
 
+    /// The drive that was interrupted after these ticks; `None` if there are none.
+    pub(crate) fn interrupted(&self, rows: &[Row]) -> Option<Driven> {
+        let (first, last) = (rows.first()?, rows.last()?);
+        let mut recorder = DriveRecorder::default();
+        for row in rows {
+            recorder.add(TickMeasures {
+                error: TrackingError {
+                    along_track_m: row.along_track_m,
+                    cross_track_m: row.cross_track_m,
+                    heading_rad: row.heading_rad,
+                },
+                path_distance_m: row.path_distance_m,
+                steering_rad: row.command_steering_rad,
+                steering_limited: row.command_steering_rad.abs()
+                    >= self.config.controller.steering_limit_rad,
+                lateral_acceleration_mps2: row.speed_mps * row.yaw_rate_radps,
+            });
+        }
+        let reference = Reference::new(&self.config);
+        let (path, ticks) = (reference.path(), last.tick + 1);
+        let along_m = PathFollower::new(path, 0.0).along_m(path, last.x_m, last.y_m);
+        let progress = (along_m / path.length_m()).clamp(0.0, 1.0);
+        let tick_s = self.config.drive.tick_s;
+        let record = recorder.finish(EndReason::Time, ticks, tick_s, progress, 0);
+        let has_truth = rows.iter().any(|row| (row.x_m, row.y_m) != (row.measured_x_m, row.measured_y_m));
+        let report = DriveReport {
+            parameters: self.sets.first()?.0,
+            ticks: record.ticks,
+            flags: if has_truth { Odometry::HAS_TRUTH } else { 0 }
+                | if first.tick > 0 { DriveReport::JOINED } else { 0 },
+            ..DriveReport::default()
+        };
+        Some(Driven { report, record })
+    }
+
     /// The result of the report.
     pub fn result(&self, driven: &Driven, switches: Vec<Switch>) -> outcome::SingleDrive {
         let Driven { report, record } = driven;
@@ -51,9 +91,13 @@ impl SingleDrive {
             reason: match record.reason {
                 EndReason::Goal => "goal",
                 EndReason::Collision => "collision",
+                EndReason::Held => "held",
+                EndReason::Stopped => "stopped",
                 EndReason::Time => "time",
             }
             .to_owned(),
+            stopped_for: reasons_of(record.stopped_for),
+            slowed_for: reasons_of(record.slowed_for),
             driven_s: record.ticks as f64 * self.config.drive.tick_s,
             progress: record.progress,
             measures: measures_of(&self.objective, self.config.learning.heading_weight, record),
@@ -67,6 +111,12 @@ impl SingleDrive {
             joined: has(report.flags, DriveReport::JOINED),
             switches,
             drives_recorded: Vec::new(),
+            drives_lacking: BTreeMap::new(),
         }
     }
+}
+
+/// Names of what was wrong.
+fn reasons_of(reasons: u32) -> Vec<String> {
+    Safety::reason_names(reasons).into_iter().map(str::to_owned).collect()
 }

@@ -72,6 +72,11 @@ impl Sweep {
         self.index_of(learner).filter(|_| step == self.step)
     }
 
+    /// Learner and step by which a drive of the list is known.
+    pub fn key_of(&self, index: usize) -> (u32, u32) {
+        (self.first_learner + index as u32, self.step)
+    }
+
     /// A drive of the list.
     pub fn drive(&self, index: usize) -> &PlannedDrive {
         &self.drives[index]
@@ -100,6 +105,11 @@ impl Sweep {
 
     /// The drives that were made, in their order, once all are over.
     pub fn driven(&self) -> Option<Vec<Driven>> {
+        self.driven_so_far().into_iter().collect()
+    }
+
+    /// The drives in their order, as far as they were made.
+    pub fn driven_so_far(&self) -> Vec<Option<Driven>> {
         self.reports.iter().map(|report| report.map(Driven::from)).collect()
     }
 }
@@ -127,6 +137,7 @@ mod tests {
         assert!(!sweep.take(&report(5, 1)), "what a predecessor asked for");
         assert!(sweep.take(&report(6, 2)) && !sweep.take(&report(6, 2)));
         assert!(sweep.driven().is_none());
+        assert!(matches!(sweep.driven_so_far()[..], [None, Some(_)]));
         assert!(sweep.take(&report(5, 2)));
         assert_eq!(sweep.driven().unwrap()[1].report.learner, 6);
         assert!(sweep.wanted(9).is_empty());

@@ -1,5 +1,6 @@
 //! A sweep joined to the pipeline: asks for its drives, records those that must be recorded, and takes their reports.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
@@ -7,7 +8,7 @@ use ipc_types::{Attempt, BatchHeader, DriveOutcome, DriveReport, LearnerProgress
 use runtime::Bus;
 use runtime::clock::now_ns;
 
-use crate::recording::{RECORDING_PATIENCE, Recorder, write};
+use crate::recording::{RECORDING_PATIENCE, Recorder, Row, write};
 use crate::sweep::{PlannedDrive, Sweep};
 use crate::wire::{Driven, record_of};
 
@@ -43,6 +44,8 @@ pub(crate) struct Sweeping {
     unrecorded: Vec<(DriveReport, u64)>,
     /// Names of the drives that were recorded.
     recorded: Vec<String>,
+    /// Ticks that recordings lack, by their names.
+    lacking: BTreeMap<String, u64>,
 }
 
 impl Sweeping {
@@ -61,7 +64,7 @@ impl Sweeping {
         let is_watched = records || drives.iter().any(|drive| drive.by_zone.len() > 1);
         let step = if is_watched { place.incarnation as u32 } else { 0 };
         let sweep = Sweep::new(first_learner, step, place.ticks, drives);
-        Ok(Self { place, sweep, recorder, unrecorded: Vec::new(), recorded: Vec::new() })
+        Ok(Self { place, sweep, recorder, unrecorded: Vec::new(), recorded: Vec::new(), lacking: BTreeMap::new() })
     }
 
     /// The drives that are still wanted, at most as many as one message carries.
@@ -78,6 +81,11 @@ impl Sweeping {
         let mut names = self.recorded.clone();
         names.sort();
         names
+    }
+
+    /// Ticks that recordings lack, by their names.
+    pub(crate) fn lacking(&self) -> BTreeMap<String, u64> {
+        self.lacking.clone()
     }
 
     /// Takes outcomes; returns how many of them were not wanted.
@@ -114,17 +122,19 @@ impl Sweeping {
                 .index_of_own(report.learner, report.step)
                 .and_then(|index| self.sweep.drive(index).record.clone())
                 .unwrap_or_default();
-            match recorder.take_whole(report.learner, report.step, report.ticks) {
-                Some(rows) => {
-                    write(&self.place.folder, &name, &rows)?;
-                    self.recorded.push(name);
-                }
-                None if now_ns() - since_ns < RECORDING_PATIENCE.as_nanos() as u64 => {
-                    waiting.push((report, since_ns));
-                    continue;
-                }
-                None => tracing::warn!(name, "the recording has gaps, and was not written"),
+            let must_be_whole = now_ns() - since_ns < RECORDING_PATIENCE.as_nanos() as u64;
+            let DriveReport { learner, step, ticks, .. } = report;
+            let Some(rows) = recorder.take(learner, step, ticks, must_be_whole) else {
+                waiting.push((report, since_ns));
+                continue;
+            };
+            write(&self.place.folder, &name, &rows)?;
+            let lacking = ticks.saturating_sub(rows.len() as u64);
+            if lacking > 0 {
+                tracing::warn!(name, lacking, of = ticks, "the recording lacks ticks");
+                self.lacking.insert(name.clone(), lacking);
             }
+            self.recorded.push(name);
             self.sweep.take(&report);
         }
         self.unrecorded = waiting;
@@ -143,6 +153,24 @@ impl Sweeping {
     /// The drives that were made, once all are over.
     pub(crate) fn driven(&self) -> Option<Vec<Driven>> {
         if self.is_recording() { None } else { self.sweep.driven() }
+    }
+
+    /// The drives in their order, as far as they were made.
+    pub(crate) fn driven_so_far(&self) -> Vec<Option<Driven>> {
+        self.sweep.driven_so_far()
+    }
+
+    /// Ends the recording of a drive under way, and writes it; returns what was recorded of it, if anything.
+    pub(crate) fn cut_recording(&mut self, index: usize) -> Result<Vec<Row>> {
+        self.poll()?;
+        let Some(recorder) = &mut self.recorder else { return Ok(Vec::new()) };
+        let (learner, step) = self.sweep.key_of(index);
+        let rows = recorder.take(learner, step, u64::MAX, false).unwrap_or_default();
+        if let Some(name) = self.sweep.drive(index).record.clone().filter(|_| !rows.is_empty()) {
+            write(&self.place.folder, &name, &rows)?;
+            self.recorded.push(name);
+        }
+        Ok(rows)
     }
 
     /// Progress of the sweep, to be sent with [`LearnerProgress::DRIVES`].

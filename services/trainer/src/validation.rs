@@ -1,5 +1,7 @@
 //! Parameter sets compared with the paper's: without noise, and with it.
 
+use std::collections::BTreeMap;
+
 use config::{ConfigError, PaperRow, Parameters, RunConfig, SweepPlan};
 use outcome::{NoiseFree, Noisy, Switch, ValidateResult, ValidatedRow};
 use tracking::Objective;
@@ -64,6 +66,22 @@ impl Validation {
         index.is_multiple_of(drives_of_row).then_some(index / drives_of_row)
     }
 
+    /// The same with only those rows of which every drive was made; returns these drives, and the numbers that the rows
+    /// had before.
+    pub fn cut(&self, driven: &[Option<Driven>]) -> (Self, Vec<Driven>, Vec<usize>) {
+        let mut cut = Self { rows: Vec::new(), ..self.clone() };
+        let (mut whole, mut numbers) = (Vec::new(), Vec::new());
+        let drives_of_row = driven.chunks(self.repeats as usize + 1);
+        for (number, (row, driven)) in self.rows.iter().zip(drives_of_row).enumerate() {
+            if let Some(driven) = driven.iter().copied().collect::<Option<Vec<Driven>>>() {
+                cut.rows.push(row.clone());
+                whole.extend(driven);
+                numbers.push(number);
+            }
+        }
+        (cut, whole, numbers)
+    }
+
     /// Number of rows in the table.
     pub fn len(&self) -> usize {
         self.rows.len()
@@ -96,6 +114,7 @@ impl Validation {
             rms_factor: (!logs.is_empty()).then(|| libm::exp(square.sqrt())),
             rows,
             drives_recorded: Vec::new(),
+            drives_lacking: BTreeMap::new(),
         }
     }
 
