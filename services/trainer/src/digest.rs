@@ -15,6 +15,7 @@
 //! measure that was added later: those of [`DriveRecord`] that are not named above stay outside.
 
 use config::Parameters;
+use sha2::digest::common::hazmat::SerializableState;
 use sha2::{Digest, Sha256};
 use tracking::DriveRecord;
 
@@ -49,6 +50,17 @@ impl Received {
 
     pub(crate) fn hash(&self) -> [u8; 32] {
         self.0.clone().finalize().into()
+    }
+
+    /// The hash under way, as bytes.
+    pub(crate) fn save(&self) -> Vec<u8> {
+        self.0.serialize().to_vec()
+    }
+
+    /// Goes on with a hash that was saved.
+    pub(crate) fn restored(saved: &[u8]) -> Option<Self> {
+        let saved = saved.try_into().ok()?;
+        Sha256::deserialize(&saved).ok().map(Self)
     }
 }
 

@@ -1,17 +1,22 @@
-//! The journal: every step of a training, one line each, written before the next one is proposed.
+//! The journal: what a training cannot compute again, written before the next drive is proposed.
 //!
-//! A line is a CRC-32 in eight hexadecimal digits, a space, and a JSON object; the first names the
-//! configuration. A last line that was torn by a crash is cut off; a damaged line before it is an error.
+//! It is a sequence of records. The first one names the configuration. Each of the others holds the drives that came
+//! back together, or the number of steps that memory answered one after another: which steps these were, and by which
+//! drives they were answered, follows from the records before. A record is packed, with a checksum. It holds no line
+//! feed (COBS sees to that), and ends with one. A last record that was torn by a crash is cut off; a damaged record
+//! before it is an error.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use tracking::DriveRecord;
 
+use crate::own_file;
+use crate::packing::{pack, unpack};
 use crate::training::{Taken, Training};
 
 /// A journal that cannot be used.
@@ -23,7 +28,7 @@ pub enum JournalError {
     #[error(
         "the journal {path} is damaged at byte {offset}: {problem}; restore it from a backup, or start the training again"
     )]
-    Damaged { path: PathBuf, offset: usize, problem: String },
+    Damaged { path: PathBuf, offset: u64, problem: String },
     #[error(
         "the journal {path} belongs to another configuration; resume with the one it was made with"
     )]
@@ -36,66 +41,70 @@ pub enum JournalError {
     InUse { path: PathBuf },
 }
 
-#[derive(Debug, Serialize, Deserialize, PartialEq)]
-#[serde(deny_unknown_fields)]
-struct Opening {
-    journal: u32,
-    configuration: String,
-}
-
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// How long to wait for a journal that another process still holds.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
+/// What ends a record.
+const END: u8 = b'\n';
+/// The longest record that is read. The drives of the largest fleet take a tenth of it; whatever is longer is no
+/// journal, and is not read into memory.
+const LONGEST_RECORD: u64 = 1 << 20;
+/// The most steps that one record may say were remembered: a replayed record takes no longer than it took to write.
+pub const REMEMBERED_AT_ONCE: usize = 1000;
+/// Number of bytes before a [`Mark`] that are compared.
+const MARKED_BYTES: u64 = 4096;
 
-/// A step. A step that was answered from memory holds no drive, because an earlier record holds it.
-#[derive(Debug, Serialize, Deserialize, PartialEq)]
-#[serde(deny_unknown_fields)]
-struct Record {
-    learner: u32,
-    step: u32,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    driven: Option<DrivenStep>,
+#[derive(Debug, Clone, Serialize, Deserialize, PartialEq)]
+enum Record {
+    Opening {
+        version: u32,
+        /// Changes with the fields of a drive: packed data does not name them.
+        layout: u32,
+        configuration: String,
+    },
+    /// Drives that came back together.
+    Driven(Vec<DrivenStep>),
+    /// So many steps were answered from memory.
+    Remembered(u32),
 }
 
-#[derive(Debug, Serialize, Deserialize, PartialEq)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Serialize, Deserialize, PartialEq)]
 struct DrivenStep {
+    learner: u32,
+    step: u32,
     /// The law's parameters, in its order.
     parameters: Vec<f64>,
     drive: DriveRecord,
 }
 
-/// A journal, open for more.
+/// A place in a journal, and a checksum of the bytes before it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Mark {
+    position: u64,
+    sum: u32,
+}
+
+/// A journal. It is replayed first, then written.
 #[derive(Debug)]
 pub struct Journal {
     path: PathBuf,
     file: File,
-    /// Number of the law's parameters.
-    parameters: usize,
+    /// What is still to be replayed; `None` once everything is.
+    unread: Option<BufReader<File>>,
+    /// Where the records end that were replayed or written.
+    position: u64,
     unwritten: Vec<u8>,
-    syncing: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Journal {
-    /// Opens or starts the journal of a training, and replays what it holds into `training`; passes each step to
-    /// `each`. `configuration` is a hash of everything that determines the training.
+    /// Opens or starts the journal of a training. `configuration` is a hash of everything that determines the training.
+    /// [`Journal::replay`] comes next.
     ///
     /// # Errors
-    /// If the file cannot be used, is damaged before its last line, or belongs to another configuration.
-    pub fn open(
-        path: &Path,
-        configuration: &str,
-        training: &mut Training,
-        each: impl FnMut(&Taken),
-    ) -> Result<Self, JournalError> {
+    /// If the file cannot be used, is no journal, or belongs to another configuration.
+    pub fn open(path: &Path, configuration: &str) -> Result<Self, JournalError> {
         let io = |source| JournalError::Io { path: path.to_owned(), source };
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(path)
-            .map_err(io)?;
+        let file = own_file::open(path).map_err(io)?;
         // A predecessor that was killed a moment ago may not be gone yet.
         let until = Instant::now() + LOCK_PATIENCE;
         while file.try_lock().is_err() {
@@ -104,43 +113,117 @@ impl Journal {
             }
             std::thread::sleep(Duration::from_millis(2));
         }
-        let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes).map_err(io)?;
-        let whole = replay(path, &bytes, configuration, training, each)?;
-        if whole < bytes.len() {
-            tracing::warn!(bytes = bytes.len() - whole, "cut a torn record off the journal");
-            file.set_len(whole as u64).map_err(io)?;
-        }
-        file.seek(SeekFrom::Start(whole as u64)).map_err(io)?;
-        let mut journal = Self {
-            path: path.to_owned(),
-            file,
-            parameters: training.law().count(),
-            unwritten: Vec::new(),
-            syncing: None,
+        let unread = Some(BufReader::new(file.try_clone().map_err(io)?));
+        let mut journal =
+            Self { path: path.to_owned(), file, unread, position: 0, unwritten: Vec::new() };
+        let mut line = journal.next_line()?;
+        let opening = Record::Opening {
+            version: VERSION,
+            layout: layout(),
+            configuration: configuration.to_owned(),
         };
-        if whole == 0 {
-            journal.add(&Opening { journal: VERSION, configuration: configuration.to_owned() });
+        if line.is_empty() {
+            journal.add(&opening);
+            return Ok(journal);
         }
-        Ok(journal)
+        if line.get(8..).is_some_and(|rest| rest.starts_with(b" {\"journal\":")) {
+            return Err(JournalError::Earlier { path: path.to_owned() });
+        }
+        match decode(&mut line) {
+            Some(found) if found == opening => Ok(journal),
+            Some(Record::Opening { version, layout: fields, .. })
+                if version < VERSION || fields != layout() =>
+            {
+                Err(JournalError::Earlier { path: path.to_owned() })
+            }
+            Some(Record::Opening { .. }) => Err(JournalError::Foreign { path: path.to_owned() }),
+            _ => Err(journal.damaged(0, "it does not begin like a journal")),
+        }
     }
 
-    /// Notes a step; [`Journal::write`] writes it to the file.
-    pub fn note(&mut self, taken: &Taken) {
-        let Taken { ask, drive, remembered, .. } = taken;
-        let driven = (!remembered).then(|| DrivenStep {
-            parameters: ask.parameters.0[..self.parameters].to_vec(),
+    /// Replays records into `training` until some thousand steps are taken or none is left, and passes each step to
+    /// `each`. Returns whether everything is replayed; then the journal can be written.
+    ///
+    /// # Errors
+    /// If the file cannot be read or is damaged before its last record.
+    pub fn replay(
+        &mut self,
+        training: &mut Training,
+        mut each: impl FnMut(&Taken),
+    ) -> Result<bool, JournalError> {
+        let mut steps = 0;
+        while steps < REMEMBERED_AT_ONCE {
+            let offset = self.position;
+            let mut line = self.next_line()?;
+            if line.is_empty() {
+                return Ok(true);
+            }
+            let record = decode(&mut line)
+                .ok_or_else(|| self.damaged(offset, "its checksum does not match"))?;
+            steps += take(training, record, &mut each)
+                .map_err(|problem| self.damaged(offset, problem))?;
+        }
+        Ok(false)
+    }
+
+    /// The next record, without its end; empty if there is none. Then a torn one has been cut off.
+    fn next_line(&mut self) -> Result<Vec<u8>, JournalError> {
+        let io = |source| JournalError::Io { path: self.path.clone(), source };
+        let mut line = Vec::new();
+        let Some(unread) = &mut self.unread else { return Ok(line) };
+        unread.take(LONGEST_RECORD).read_until(END, &mut line).map_err(io)?;
+        if line.pop_if(|last| *last == END).is_some() {
+            self.position += line.len() as u64 + 1;
+            if line.is_empty() {
+                return Err(self.damaged(self.position - 1, "an empty record"));
+            }
+            return Ok(line);
+        }
+        if line.len() as u64 == LONGEST_RECORD {
+            return Err(self.damaged(self.position, "a record without an end"));
+        }
+        // Records are written whole, so only the last one can be torn: it lacks its end.
+        if !line.is_empty() {
+            tracing::warn!(bytes = line.len(), "cut a torn record off the journal");
+            self.file.set_len(self.position).map_err(io)?;
+        }
+        self.file.seek(SeekFrom::Start(self.position)).map_err(io)?;
+        self.unread = None;
+        Ok(Vec::new())
+    }
+
+    fn damaged(&self, offset: u64, problem: &str) -> JournalError {
+        JournalError::Damaged { path: self.path.clone(), offset, problem: problem.to_owned() }
+    }
+
+    /// Notes drives that came back together; [`Journal::write`] writes them to the file. `count` is the number of the
+    /// law's parameters.
+    pub fn note_driven(&mut self, taken: &[Taken], count: usize) {
+        let step = |Taken { ask, drive, .. }: &Taken| DrivenStep {
+            learner: ask.learner,
+            step: ask.step,
+            parameters: ask.parameters.0[..count].to_vec(),
             drive: *drive,
-        });
-        self.add(&Record { learner: ask.learner, step: ask.step, driven });
+        };
+        if !taken.is_empty() {
+            self.add(&Record::Driven(taken.iter().map(step).collect()));
+        }
     }
 
-    fn add(&mut self, record: &impl Serialize) {
-        let json = serde_json::to_vec(record).expect("records are plain, and their numbers finite");
-        let line = format!("{:08x} ", crc32fast::hash(&json));
-        self.unwritten.extend_from_slice(line.as_bytes());
-        self.unwritten.extend_from_slice(&json);
-        self.unwritten.push(b'\n');
+    /// Notes that one call of [`Training::remember`] answered so many steps, at most [`REMEMBERED_AT_ONCE`].
+    pub fn note_remembered(&mut self, steps: usize) {
+        if steps > 0 {
+            self.add(&Record::Remembered(steps as u32));
+        }
+    }
+
+    fn add(&mut self, record: &Record) {
+        let packed = pack(record);
+        let from = self.unwritten.len();
+        self.unwritten.resize(from + cobs::max_encoding_length(packed.len()), 0);
+        let length = cobs::encode_with_sentinel(&packed, &mut self.unwritten[from..], END);
+        self.unwritten.truncate(from + length);
+        self.unwritten.push(END);
     }
 
     /// Writes what was noted: after this, a crash of the process loses none of it.
@@ -149,196 +232,99 @@ impl Journal {
     /// If it cannot be written to the disk.
     pub fn write(&mut self) -> Result<(), JournalError> {
         let result = self.file.write_all(&self.unwritten);
+        self.position += self.unwritten.len() as u64;
         self.unwritten.clear();
         result.map_err(|source| JournalError::Io { path: self.path.clone(), source })
     }
 
-    /// Syncs what was written to the disk, in a separate thread, because a disk may be slow: after that, a power cut
-    /// loses none of it. There is one sync at a time; the next call reports a failure of the last one.
-    ///
-    /// # Errors
-    /// If it could not be written to the disk.
-    pub fn sync(&mut self) -> Result<(), JournalError> {
-        if self.syncing.as_ref().is_some_and(|thread| !thread.is_finished()) {
-            return Ok(());
-        }
-        let io = |source| JournalError::Io { path: self.path.clone(), source };
-        if let Some(Ok(Err(source))) = self.syncing.take().map(JoinHandle::join) {
-            return Err(io(source));
-        }
-        let file = self.file.try_clone().map_err(io)?;
-        self.syncing = Some(std::thread::spawn(move || file.sync_data()));
-        Ok(())
-    }
-
-    /// The journal's file, for a caller that can wait for a sync.
+    /// The journal's file, for whoever can wait for a sync.
     ///
     /// # Errors
     /// If the system has no descriptor left.
     pub fn file(&self) -> io::Result<File> {
         self.file.try_clone()
     }
-}
 
-/// Replays the whole lines; returns where the last one ends.
-fn replay(
-    path: &Path,
-    bytes: &[u8],
-    configuration: &str,
-    training: &mut Training,
-    mut each: impl FnMut(&Taken),
-) -> Result<usize, JournalError> {
-    let mut offset = 0;
-    while offset < bytes.len() {
-        let damaged = |problem: &str| {
-            let problem = problem.to_owned();
-            JournalError::Damaged { path: path.to_owned(), offset, problem }
-        };
-        let rest = &bytes[offset..];
-        // Lines are written whole, so only the last one can be torn: it lacks its end.
-        let Some(length) = rest.iter().position(|byte| *byte == b'\n') else { return Ok(offset) };
-        let line = &rest[..length];
-        let json = checked(line).ok_or_else(|| damaged("its checksum does not match"))?;
-        if offset == 0 {
-            let opening: Opening = serde_json::from_slice(json)
-                .map_err(|_| damaged("it does not begin like a journal"))?;
-            if opening.journal < VERSION {
-                return Err(JournalError::Earlier { path: path.to_owned() });
-            }
-            if opening != (Opening { journal: VERSION, configuration: configuration.to_owned() }) {
-                return Err(JournalError::Foreign { path: path.to_owned() });
-            }
-        } else {
-            let record: Record = serde_json::from_slice(json)
-                .map_err(|error| damaged(&format!("not a record: {error}")))?;
-            let taken = take(training, &record).map_err(damaged)?;
-            each(&taken);
-        }
-        offset += length + 1;
+    /// The place where the written records end.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub(crate) fn mark(&self) -> io::Result<Mark> {
+        Ok(Mark { position: self.position, sum: self.sum_before(self.position)? })
     }
-    Ok(offset)
+
+    /// Passes over the records before a mark, if this is the journal in which it was made and holds them.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub(crate) fn go_to(&mut self, mark: &Mark) -> io::Result<bool> {
+        let is_there = mark.position >= self.position
+            && mark.position <= self.file.metadata()?.len()
+            && self.sum_before(mark.position)? == mark.sum;
+        let Some(unread) = self.unread.as_mut().filter(|_| is_there) else { return Ok(false) };
+        unread.seek(SeekFrom::Start(mark.position))?;
+        self.position = mark.position;
+        Ok(true)
+    }
+
+    /// Checksum of the last bytes before a place.
+    fn sum_before(&self, position: u64) -> io::Result<u32> {
+        let count = position.min(MARKED_BYTES);
+        let mut bytes = vec![0; count as usize];
+        self.file.read_exact_at(&mut bytes, position - count)?;
+        Ok(crc32fast::hash(&bytes))
+    }
 }
 
-/// Replays a step.
-fn take(training: &mut Training, record: &Record) -> Result<Taken, &'static str> {
-    let Record { learner, step, driven } = record;
-    let taken = match driven {
-        None => training.take_remembered(*learner, *step),
-        Some(DrivenStep { drive, .. }) if !drive.is_plausible() => {
-            return Err("a drive with impossible numbers");
+/// Replays a record; returns how many steps it held.
+fn take(
+    training: &mut Training,
+    record: Record,
+    each: &mut impl FnMut(&Taken),
+) -> Result<usize, &'static str> {
+    const UNKNOWN: &str = "a step that the training does not make";
+    match record {
+        Record::Opening { .. } => Err("a second opening"),
+        Record::Remembered(steps) => {
+            let wanted = steps as usize;
+            if wanted > REMEMBERED_AT_ONCE {
+                return Err(UNKNOWN);
+            }
+            let mut steps = 0;
+            training.remember(wanted, |taken| {
+                steps += 1;
+                each(taken);
+            });
+            if steps == wanted { Ok(steps) } else { Err(UNKNOWN) }
         }
-        Some(DrivenStep { parameters, drive }) => training
-            .take(*learner, *step, *drive)
-            .filter(|taken| taken.ask.parameters.0[..training.law().count()] == parameters[..]),
-    };
-    taken.ok_or("a step that the training does not make")
+        Record::Driven(drives) => {
+            let count = training.law().count();
+            for DrivenStep { learner, step, parameters, drive } in &drives {
+                if !drive.is_plausible() {
+                    return Err("a drive with impossible numbers");
+                }
+                let taken = training
+                    .take(*learner, *step, *drive)
+                    .filter(|taken| taken.ask.parameters.0[..count] == parameters[..])
+                    .ok_or(UNKNOWN)?;
+                each(&taken);
+            }
+            Ok(drives.len())
+        }
+    }
 }
 
-fn checked(line: &[u8]) -> Option<&[u8]> {
-    let (digits, rest) = line.split_at_checked(8)?;
-    let json = rest.strip_prefix(b" ")?;
-    let sum = u32::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?;
-    (crc32fast::hash(json) == sum).then_some(json)
+fn decode(line: &mut [u8]) -> Option<Record> {
+    let length = cobs::decode_in_place_with_sentinel(line, END).ok()?;
+    unpack(&line[..length])
+}
+
+/// A checksum over the names of a drive's fields.
+fn layout() -> u32 {
+    let json = serde_json::to_vec(&DriveRecord::default()).expect("a drive is plain data");
+    crc32fast::hash(&json)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{Ranking, digest};
-    use config::{Layers, RunConfig};
-    use proptest::prelude::*;
-    use std::fs;
-    use std::sync::LazyLock;
-
-    fn config() -> RunConfig {
-        let mut layers = Layers::maneuver("lane_change").unwrap();
-        for set in ["learning.episodes=3", "learning.step_limit=8", "run.alphas=[0.1,0.5]"] {
-            layers.set(set).unwrap();
-        }
-        layers.resolve().unwrap()
-    }
-
-    /// Continues the training from where the journal ends; returns the digest.
-    fn train(path: &Path, config: &RunConfig, most_drives: usize) -> Result<String, JournalError> {
-        // Driven once for all tests: then a training takes only microseconds.
-        static RANKING: LazyLock<Ranking> = LazyLock::new(|| Ranking::by_rollout(&self::config()));
-        let mut training = Training::new(config, *RANKING.objective());
-        let mut journal = Journal::open(path, "c", &mut training, |_| {})?;
-        for _ in 0..most_drives {
-            training.remember(usize::MAX, |taken| journal.note(taken));
-            let Some(ask) = training.wanted().first().copied() else { break };
-            let drive = RANKING.drive(&ask.parameters);
-            let taken = training.take(ask.learner, ask.step, drive).unwrap();
-            journal.note(&taken);
-            journal.write()?;
-        }
-        Ok(digest(&training))
-    }
-
-    #[test]
-    fn every_cut_of_the_last_4_kib_goes_on_to_the_same_digest() {
-        let folder = tempfile::tempdir().unwrap();
-        let (whole, cut) = (folder.path().join("whole"), folder.path().join("cut"));
-        let config = config();
-        let wanted = train(&whole, &config, usize::MAX).unwrap();
-        let bytes = fs::read(&whole).unwrap();
-        assert!(bytes.len() > 4096);
-        for length in bytes.len() - 4096..=bytes.len() {
-            fs::write(&cut, &bytes[..length]).unwrap();
-            assert_eq!(train(&cut, &config, usize::MAX).unwrap(), wanted, "cut at {length}");
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn no_bytes_make_the_journal_panic(
-            bytes in prop::collection::vec(any::<u8>(), 0..300), at in 0usize..3000, keep in any::<bool>(),
-        ) {
-            let folder = tempfile::tempdir().unwrap();
-            let path = folder.path().join("journal");
-            let mut text = Vec::new();
-            if keep {
-                train(&path, &config(), 9).unwrap();
-                text = fs::read(&path).unwrap();
-            }
-            let at = at.min(text.len());
-            text.splice(at..at, bytes);
-            fs::write(&path, &text).unwrap();
-            let _ = train(&path, &config(), 1);
-        }
-    }
-
-    #[test]
-    fn damage_in_the_middle_is_named_by_its_offset() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("journal");
-        train(&path, &config(), 20).unwrap();
-        let bytes = fs::read(&path).unwrap();
-        for at in (0..bytes.len() - 200).step_by(11) {
-            let mut damaged = bytes.clone();
-            damaged[at] ^= 1;
-            fs::write(&path, &damaged).unwrap();
-            let error = train(&path, &config(), 0).unwrap_err().to_string();
-            let names = ["byte", "another configuration", "an earlier version"];
-            assert!(names.iter().any(|name| error.contains(name)), "{error}");
-        }
-    }
-
-    #[test]
-    fn a_journal_of_another_configuration_or_version_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("journal");
-        train(&path, &config(), 3).unwrap();
-        let open = |path: &Path| {
-            let config = config();
-            let mut training = Training::new(&config, crate::objective_of(&config));
-            Journal::open(path, "d", &mut training, |_| {}).unwrap_err()
-        };
-        assert!(matches!(open(&path), JournalError::Foreign { .. }));
-        // The first line of a journal as earlier versions wrote it.
-        let earlier = r#"{"journal":1,"configuration":"d"}"#;
-        fs::write(&path, format!("{:08x} {earlier}\n", crc32fast::hash(earlier.as_bytes())))
-            .unwrap();
-        assert!(matches!(open(&path), JournalError::Earlier { .. }));
-    }
-}
+#[path = "journal_tests.rs"]
+mod tests;

@@ -3,6 +3,8 @@
 //! A learner always wants exactly one drive, or has finished. [`QLearner::learn`] takes that drive and decides
 //! what comes next; nothing else changes its state.
 
+mod saved;
+
 use config::{
     ClosestBy, ClosestOver, EpisodeGains, FirstGains, GreedyTies, Grid, GridPosition, Learning,
     MAX_PARAMETERS, OutOfRange, Parameters, Pick, RunConfig, StepLimitEffect,
@@ -15,6 +17,8 @@ use crate::digest::add_parameters;
 use crate::q_learning::Method;
 use crate::rng::Stream;
 use crate::tuners::{EpisodeRecord, Told};
+
+pub(crate) use saved::SavedLearner;
 
 /// One learner.
 #[derive(Debug, Clone)]

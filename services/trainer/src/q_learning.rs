@@ -8,7 +8,8 @@ use outcome::LearnerSummary;
 use sha2::Sha256;
 use tracking::DriveRecord;
 
-use crate::q_learner::QLearner;
+use crate::packing::{from_bytes, to_bytes};
+use crate::q_learner::{QLearner, SavedLearner};
 use crate::tuners::{Ask, LearnerState, Told, Tuner};
 
 /// How the tuners of this family differ.
@@ -80,5 +81,17 @@ impl Tuner for QLearning {
 
     fn digest_into(&self, learner: u32, digest: &mut Sha256) {
         self.learners[learner as usize].digest_into(digest);
+    }
+
+    fn save(&self) -> Vec<u8> {
+        to_bytes(&self.learners.iter().map(QLearner::save).collect::<Vec<_>>())
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> bool {
+        let saved: Option<Vec<SavedLearner>> = from_bytes(saved);
+        saved.is_some_and(|saved| {
+            saved.len() == self.learners.len()
+                && self.learners.iter_mut().zip(&saved).all(|(it, saved)| it.restore(saved))
+        })
     }
 }

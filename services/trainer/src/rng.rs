@@ -17,6 +17,16 @@ impl Stream {
         Self(ChaCha8Rng::from_seed(key))
     }
 
+    /// How far the stream has been drawn.
+    pub(crate) fn position(&self) -> u128 {
+        self.0.get_word_pos()
+    }
+
+    /// Goes to where a stream of the same seed and number had been drawn.
+    pub(crate) fn go_to(&mut self, position: u128) {
+        self.0.set_word_pos(position);
+    }
+
     /// Uniform in [0, 1), 53 bits.
     pub(crate) fn uniform(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64

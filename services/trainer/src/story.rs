@@ -1,20 +1,41 @@
 //! The story of a training, written as it happens: `episodes.csv` and `drives.csv` in the run's folder.
 //!
-//! A restarted trainer writes both again while it replays its journal. Rows of different learners are in the order in
-//! which the drives came back.
+//! A restarted trainer cuts both off where they stood at its checkpoint, and writes the rest again while it replays its
+//! journal. Rows of different learners are in the order in which the drives came back.
 
-use std::fs::File;
+use std::fs::{self, File};
+use std::io::{self, Seek, SeekFrom};
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use config::LawConfig;
+use serde::{Deserialize, Serialize};
 
+use crate::own_file;
 use crate::training::Taken;
 
 /// Name of the file with a row for each episode.
 pub const EPISODES_FILE: &str = "episodes.csv";
 /// Name of the file with a row for each step of a learner.
 pub const DRIVES_FILE: &str = "drives.csv";
+
+/// Lengths of the two files, in bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Lengths {
+    episodes: u64,
+    drives: u64,
+}
+
+impl Lengths {
+    /// Whether the files in a folder are that long, or longer.
+    pub(crate) fn are_within(&self, folder: &Path) -> bool {
+        [(EPISODES_FILE, self.episodes), (DRIVES_FILE, self.drives)].into_iter().all(
+            |(name, length)| {
+                fs::symlink_metadata(folder.join(name)).is_ok_and(|meta| meta.len() >= length)
+            },
+        )
+    }
+}
 
 /// The two files, open for more.
 pub(crate) struct Story {
@@ -26,7 +47,13 @@ pub(crate) struct Story {
 }
 
 impl Story {
-    pub(crate) fn new(folder: &Path, law: &LawConfig, heading_weight: f64) -> Result<Self> {
+    /// The files in a folder, cut off at these lengths, or begun anew.
+    pub(crate) fn open(
+        folder: &Path,
+        law: &LawConfig,
+        heading_weight: f64,
+        lengths: Option<Lengths>,
+    ) -> Result<Self> {
         let head = |names: &[&str]| -> Vec<String> {
             names
                 .iter()
@@ -37,9 +64,13 @@ impl Story {
         let episodes = ["learner", "episode", "steps", "return", "last_value", "terminated"];
         let measures = ["value", "distance", "mse_m2", "path_mean_m", "path_p95_m", "path_max_m"];
         let drives = [&["learner", "step", "remembered", "reward"], &measures[..], &["arrived"]];
+        let open = |name: &str, head: &[String], length: Option<u64>| {
+            let path = folder.join(name);
+            open(&path, head, length).with_context(|| format!("failed to write {path:?}"))
+        };
         Ok(Self {
-            episodes: open(&folder.join(EPISODES_FILE), &head(&episodes))?,
-            drives: open(&folder.join(DRIVES_FILE), &head(&drives.concat()))?,
+            episodes: open(EPISODES_FILE, &head(&episodes), lengths.map(|it| it.episodes))?,
+            drives: open(DRIVES_FILE, &head(&drives.concat()), lengths.map(|it| it.drives))?,
             parameters: law.count(),
             heading_weight,
         })
@@ -91,11 +122,24 @@ impl Story {
         self.drives.flush()?;
         Ok(())
     }
+
+    /// Writes what was added; returns how long the files are now, and the files.
+    pub(crate) fn written(&mut self) -> Result<(Lengths, [File; 2])> {
+        self.flush()?;
+        let (episodes, drives) = (self.episodes.get_ref(), self.drives.get_ref());
+        let lengths =
+            Lengths { episodes: episodes.metadata()?.len(), drives: drives.metadata()?.len() };
+        Ok((lengths, [episodes.try_clone()?, drives.try_clone()?]))
+    }
 }
 
-fn open(path: &Path, head: &[String]) -> Result<csv::Writer<File>> {
-    let mut writer =
-        csv::Writer::from_path(path).with_context(|| format!("failed to write {path:?}"))?;
-    writer.write_record(head)?;
+fn open(path: &Path, head: &[String], length: Option<u64>) -> io::Result<csv::Writer<File>> {
+    let mut file = own_file::open(path)?;
+    file.set_len(length.unwrap_or_default())?;
+    file.seek(SeekFrom::End(0))?;
+    let mut writer = csv::Writer::from_writer(file);
+    if length.is_none() {
+        writer.write_record(head)?;
+    }
     Ok(writer)
 }

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 use config::{LawConfig, MAX_PARAMETERS, Parameters, RunConfig};
 use rollout::Rollout;
+use serde::{Deserialize, Serialize};
 use tracking::{DriveRecord, Objective};
 
 use crate::digest::Received;
@@ -43,7 +44,9 @@ pub struct Training {
     tuner: Box<dyn Tuner>,
     objective: Objective,
     noise: bool,
-    memory: Option<HashMap<Key, DriveRecord>>,
+    /// The drives that were made, by their set; `None` if none is remembered. Under noise no two drives are the same,
+    /// and none is remembered either.
+    memory: Option<HashMap<[u64; MAX_PARAMETERS], DriveRecord>>,
     /// What each learner has received.
     received: Vec<Received>,
     /// Number of drives and the sum of their values, by set and learner. Kept learner by learner, because the order in
@@ -51,9 +54,14 @@ pub struct Training {
     visited: HashMap<[u64; MAX_PARAMETERS], Vec<(u32, f64)>>,
 }
 
-/// What makes two drives of one configuration the same: the parameters, and the seed of the noise, if there is noise.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-struct Key([u64; MAX_PARAMETERS], Option<u64>);
+/// What a training has become, as plain data; see [`Training::save`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct SavedTraining {
+    tuner: Vec<u8>,
+    received: Vec<Vec<u8>>,
+    memory: Option<Vec<(Vec<f64>, DriveRecord)>>,
+    visited: Vec<(Vec<f64>, Vec<(u32, f64)>)>,
+}
 
 impl Training {
     /// A training at its first step, whose drives are judged by `objective`.
@@ -65,9 +73,66 @@ impl Training {
             tuner,
             objective,
             noise: config.noise.enabled,
-            memory: config.run.memo.then(HashMap::new),
+            memory: (config.run.memo && !config.noise.enabled).then(HashMap::new),
             visited: HashMap::new(),
         }
+    }
+
+    /// What it has become: all that [`Training::restored`] needs to go on from here.
+    pub(crate) fn save(&self) -> SavedTraining {
+        let values = |bits: &[u64; MAX_PARAMETERS]| {
+            bits[..self.law.count()].iter().map(|bits| f64::from_bits(*bits)).collect()
+        };
+        SavedTraining {
+            tuner: self.tuner.save(),
+            received: self.received.iter().map(Received::save).collect(),
+            memory: self
+                .memory
+                .as_ref()
+                .map(|memory| memory.iter().map(|(bits, drive)| (values(bits), *drive)).collect()),
+            visited: self
+                .visited
+                .iter()
+                .map(|(bits, learners)| (values(bits), learners.clone()))
+                .collect(),
+        }
+    }
+
+    /// A training of the same configuration at the step at which it was saved; `None` if it was none of that
+    /// configuration.
+    pub(crate) fn restored(
+        config: &RunConfig,
+        objective: Objective,
+        saved: SavedTraining,
+    ) -> Option<Self> {
+        let SavedTraining { tuner, received, memory, visited } = saved;
+        let mut training = Self::new(config, objective);
+        let learners = training.received.len();
+        let count = training.law.count();
+        let bits =
+            |values: &[f64]| (values.len() == count).then(|| Parameters::of(values).to_bits());
+        training.received =
+            received.iter().map(|it| Received::restored(it)).collect::<Option<_>>()?;
+        let memory = match memory {
+            Some(memory) => Some(
+                memory
+                    .iter()
+                    .map(|(values, drive)| Some((bits(values)?, *drive)))
+                    .collect::<Option<HashMap<_, _>>>()?,
+            ),
+            None => None,
+        };
+        if training.received.len() != learners || memory.is_some() != training.memory.is_some() {
+            return None;
+        }
+        training.memory = memory;
+        training.visited = visited
+            .into_iter()
+            .map(|(values, of_learners)| {
+                (of_learners.len() == learners).then_some((bits(&values)?, of_learners))
+            })
+            .collect::<Option<_>>()?;
+        training.tuner.restore(&tuner).then_some(training)
     }
 
     /// The law whose parameters are tuned.
@@ -99,11 +164,9 @@ impl Training {
             let before = steps;
             for learner in 0..self.tuner.learners() {
                 while let Some(ask) = self.tuner.wanted(learner) {
-                    let key = self.key(&ask);
-                    let Some(drive) = self.memory.as_ref().and_then(|it| it.get(&key)).copied()
-                    else {
-                        break;
-                    };
+                    let memory = self.memory.as_ref();
+                    let drive = memory.and_then(|it| it.get(&ask.parameters.to_bits())).copied();
+                    let Some(drive) = drive else { break };
                     if steps == at_most {
                         return false;
                     }
@@ -124,9 +187,9 @@ impl Training {
         if self.memory.is_some() {
             let mut seen = Vec::with_capacity(wanted.len());
             wanted.retain(|ask| {
-                let key = self.key(ask);
-                let is_new = !seen.contains(&key);
-                seen.push(key);
+                let set = ask.parameters.to_bits();
+                let is_new = !seen.contains(&set);
+                seen.push(set);
                 is_new
             });
         }
@@ -136,27 +199,19 @@ impl Training {
     /// Hands a drive to the learner that waits for it. Returns the step, or `None` if no learner waits for that
     /// drive (any more).
     pub fn take(&mut self, learner: u32, step: u32, drive: DriveRecord) -> Option<Taken> {
-        let ask = self.asked(learner, step)?;
-        let key = self.key(&ask);
+        if learner >= self.tuner.learners() {
+            return None;
+        }
+        let ask = self.tuner.wanted(learner).filter(|ask| ask.step == step)?;
         if let Some(memory) = &mut self.memory {
-            memory.insert(key, drive);
+            memory.insert(ask.parameters.to_bits(), drive);
         }
         Some(self.tell(ask, drive, false))
     }
 
-    /// Hands a drive from memory to the learner that waits for it. Returns the step, or `None` if no learner waits for
-    /// that drive or it was never made.
-    pub fn take_remembered(&mut self, learner: u32, step: u32) -> Option<Taken> {
-        let ask = self.asked(learner, step)?;
-        let drive = *self.memory.as_ref()?.get(&self.key(&ask))?;
-        Some(self.tell(ask, drive, true))
-    }
-
-    fn asked(&self, learner: u32, step: u32) -> Option<Ask> {
-        if learner >= self.tuner.learners() {
-            return None;
-        }
-        self.tuner.wanted(learner).filter(|ask| ask.step == step)
+    /// The drive with a set that memory holds; never one with noise.
+    pub(crate) fn remembered(&self, parameters: &Parameters) -> Option<&DriveRecord> {
+        self.memory.as_ref()?.get(&parameters.to_bits())
     }
 
     fn tell(&mut self, ask: Ask, drive: DriveRecord, remembered: bool) -> Taken {
@@ -170,10 +225,6 @@ impl Training {
         *sum += value;
         let told = self.tuner.tell(&ask, &drive, value);
         Taken { ask, drive, value, remembered, told }
-    }
-
-    fn key(&self, ask: &Ask) -> Key {
-        Key(ask.parameters.to_bits(), self.noise.then_some(ask.seed))
     }
 
     /// Hash of what a learner has received.
@@ -317,7 +368,8 @@ mod tests {
                     ranking.drive(&ask.parameters)
                 });
                 let set = training.tuner().recommend(&|a, b| ranking.compare(a, b));
-                let rank = ranking.rank_by(|it| it.distance, &ranking.drive(&set));
+                let measures = ranking.measures_of(&ranking.drive(&set));
+                let rank = ranking.rank_by(|it| it.distance, &measures);
                 println!("{maneuver} {tuner} seed {seed}: rank {rank} of {}", ranking.len());
                 rank <= best
             })

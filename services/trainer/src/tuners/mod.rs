@@ -107,6 +107,14 @@ pub trait Tuner: Debug + Send + Sync {
 
     /// Adds what learner number `learner` has become to the run's digest; what it received is in it already.
     fn digest_into(&self, learner: u32, digest: &mut Sha256);
+
+    /// All that tells it from a new tuner, the positions of its random streams included, as bytes of bounded number:
+    /// they are saved once a second.
+    fn save(&self) -> Vec<u8>;
+
+    /// Makes a new tuner what the one of the same configuration was that saved these bytes. Returns whether they are
+    /// such bytes; if not, this tuner must not be used any more.
+    fn restore(&mut self, saved: &[u8]) -> bool;
 }
 
 /// The table of tuners: the name of the file in `config/tuners`, and what makes one for a configuration.
@@ -163,6 +171,66 @@ mod tests {
         (DriveRecord { mean_abs_cross_m: value, ..DriveRecord::default() }, value)
     }
 
+    /// What a finished tuner comes to.
+    fn end(tuner: &dyn Tuner) -> (Parameters, String, Vec<u8>) {
+        let order = |a: &Parameters, b: &Parameters| a.0.partial_cmp(&b.0).unwrap();
+        let mut digest = <Sha256 as sha2::Digest>::new();
+        (0..tuner.learners()).for_each(|it| tuner.digest_into(it, &mut digest));
+        let digest = sha2::Digest::finalize(digest);
+        (tuner.recommend(&order), format!("{:?}", tuner.story()), digest.to_vec())
+    }
+
+    /// Serves one learner after the other, once each.
+    fn serve_all(tuner: &mut dyn Tuner) {
+        for learner in 0..tuner.learners() {
+            let Some(ask) = tuner.wanted(learner) else { continue };
+            let (record, value) = drive(&ask);
+            tuner.tell(&ask, &record, value);
+        }
+    }
+
+    #[test]
+    fn every_tuner_goes_on_from_what_it_saved_at_any_step() {
+        for name in NAMES {
+            let config = config(name);
+            let mut calm = tuner(name, &config);
+            while !calm.is_finished() {
+                serve_all(&mut *calm);
+            }
+            let mut resumed = tuner(name, &config);
+            loop {
+                let saved = resumed.save();
+                resumed = tuner(name, &config);
+                assert!(resumed.restore(&saved), "{name}");
+                assert_eq!(resumed.save(), saved, "{name}");
+                if resumed.is_finished() {
+                    break;
+                }
+                serve_all(&mut *resumed);
+            }
+            assert_eq!(end(&*resumed), end(&*calm), "{name}");
+        }
+    }
+
+    proptest::proptest! {
+        /// A checksum keeps damage off a tuner, but not what another version saved.
+        #[test]
+        fn no_saved_bytes_make_a_tuner_panic(
+            row in 0..NAMES.len(), steps in 0usize..40, at in 0.0..1.0, bytes: [u8; 4], cut: bool,
+        ) {
+            let config = config(NAMES[row]);
+            let mut saving = tuner(NAMES[row], &config);
+            (0..steps).for_each(|_| serve_all(&mut *saving));
+            let mut saved = saving.save();
+            let at = (at * saved.len() as f64) as usize;
+            if cut { saved.truncate(at) } else { saved.splice(at..(at + 4).min(saved.len()), bytes); }
+            let mut tuner = tuner(NAMES[row], &config);
+            if tuner.restore(&saved) {
+                (0..steps).for_each(|_| serve_all(&mut *tuner));
+            }
+        }
+    }
+
     #[test]
     fn every_tuner_runs_to_its_end_whoever_is_served_first() {
         for name in NAMES {
@@ -187,11 +255,7 @@ mod tests {
                         assert!(steps < 100_000, "{name} goes on for ever");
                     }
                 }
-                let order = |a: &Parameters, b: &Parameters| a.0.partial_cmp(&b.0).unwrap();
-                let mut digest = <Sha256 as sha2::Digest>::new();
-                (0..tuner.learners()).for_each(|it| tuner.digest_into(it, &mut digest));
-                let digest = sha2::Digest::finalize(digest);
-                (tuner.recommend(&order), format!("{:?}", tuner.story()), digest.to_vec())
+                end(&*tuner)
             });
             assert_eq!(served[0], served[1], "{name}");
             assert!(config.law.check(&served[0].0).is_ok());
