@@ -34,24 +34,28 @@ with open(path, "rb") as file:
         channel.topic: summary.statistics.channel_message_counts.get(id, 0)
         for id, channel in summary.channels.items()
     }
-    for topic in ROS_TOPICS + [f"/pathtune/{topic}" for topic in TICK_TOPICS]:
+    for topic in ROS_TOPICS + ["/tf"] + [f"/pathtune/{topic}" for topic in TICK_TOPICS]:
         assert counts[topic] == ticks, (topic, counts[topic], ticks)
-    for _, channel, message in reader.iter_messages():
+    for schema, channel, message in reader.iter_messages():
         name = channel.topic.removeprefix("/pathtune/")
-        if channel.message_encoding == "pathtune" and name in own:
+        # The tools of ROS 2 take a file only if all of it is CDR with a schema.
+        assert channel.message_encoding == "cdr" and schema.encoding == "ros2msg", channel
+        assert "reliability" in channel.metadata["offered_qos_profiles"], channel
+        if channel.topic.startswith("/pathtune/") and name in own:
             layout = json.loads(channel.metadata["layout"])
             header, element = layout["header"], layout["element"]
-            assert len(message.data) == header["bytes"] + element["bytes"]
+            # After the encapsulation and the length.
+            data = message.data[8:]
+            assert len(data) == header["bytes"] + element["bytes"]
             own[name].append(
-                (
-                    fields(header, message.data),
-                    fields(element, message.data[header["bytes"] :]),
-                )
+                (fields(header, data), fields(element, data[header["bytes"] :]))
             )
     names = {attachment.name for attachment in reader.iter_attachments()}
     assert {"config.toml", "launch.toml"} <= names, names
     metadata = {record.name: record.metadata for record in reader.iter_metadata()}
     assert metadata["pathtune.end"]["gaps"] == "0", metadata
+    assert int(metadata["pathtune"]["wall_clock_origin_ns"]) > 1.6e18, metadata
+    assert metadata["rosbag2"]["serialized_metadata"].startswith("version: 8\n"), metadata
 
 
 def yaw_of(q):
@@ -106,6 +110,24 @@ with open(path, "rb") as file:
     assert any(text.startswith("ended") for text in told), told
 
 with AnyReader([Path(path)]) as reader:
+    one = {it.topic: it for it in reader.connections}
+    transforms = [
+        reader.deserialize(data, connection.msgtype).transforms
+        for connection, _, data in reader.messages([one["/tf"]])
+    ]
+    for index, (transform,) in enumerate(transforms):
+        seen = own["odometry"][index][1]
+        assert transform.header.frame_id == "map" and transform.child_frame_id == "tracked_point"
+        assert transform.transform.translation.x == seen["measured.x_m"]
+        assert apart(yaw_of(transform.transform.rotation), seen["measured.yaw_rad"]) < 1e-9
+    ((_, _, data),) = reader.messages([one["/path"]])
+    poses = [it.pose for it in reader.deserialize(data, one["/path"].msgtype).poses]
+    assert len(poses) > 2000 and yaw_of(poses[0].orientation) == 0, len(poses)
+    (qos,) = one["/path"].ext.offered_qos_profiles
+    assert qos.durability.name == "TRANSIENT_LOCAL" and qos.reliability.name == "RELIABLE", qos
+    # Our own messages have a type as well.
+    connection, _, data = next(reader.messages([one["/pathtune/odometry"]]))
+    assert len(reader.deserialize(data, connection.msgtype).data) == len(data) - 8
     wanted = [it for it in reader.connections if it.topic in ROS_TOPICS]
     check(
         (

@@ -2,8 +2,11 @@
 
 mod support;
 
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::{Duration, UNIX_EPOCH};
 
 use config::{Layers, Parameters, RunConfig};
 use ipc_types::layout::Bytes;
@@ -282,14 +285,102 @@ fn a_run_is_recorded_from_another_terminal() {
     sandbox.assert_clean();
 }
 
-/// What Python's readers make of a recording.
-fn assert_python_agrees(sandbox: &Sandbox, path: &Path, ticks: usize) {
-    let Some(python) = std::env::var_os("PATHTUNE_PYTHON") else {
+#[test]
+fn recording_unreadable_for_ros2_bag() {
+    let Some(python) = python() else { return };
+    let sandbox = Sandbox::new();
+    let args = ["drive", "lane_change", "--quiet", "--record", "--gains", "3,21,21,.7"];
+    assert!(sandbox.run(&[&args[..], &["--out", "out"]].concat()).status.success());
+    let file = sandbox.path("out/recording.mcap");
+    let convert = ["-m", "rosbags.convert", "--src", "out/recording.mcap", "--dst", "bag"];
+    let output =
+        Command::new(&python).args(convert).current_dir(sandbox.path(".")).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{}{told}", String::from_utf8_lossy(&output.stdout));
+    // Every message of every topic is in the bag.
+    let mut messages: BTreeMap<String, usize> = BTreeMap::new();
+    for message in Recording::read(&file).unwrap().messages {
+        *messages.entry(message.topic).or_default() += 1;
+    }
+    let count = "import json, pathlib, rosbags.highlevel as it\n\
+                 with it.AnyReader([pathlib.Path('bag')]) as reader:\n    \
+                 print(json.dumps({c.topic: c.msgcount for c in reader.connections if c.msgcount}))";
+    let output =
+        Command::new(&python).args(["-c", count]).current_dir(sandbox.path(".")).output().unwrap();
+    let there: BTreeMap<String, usize> = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(there, messages);
+    assert!(there["/tf"] == there["/odom"] && there["/path"] == 1, "{there:?}");
+}
+
+#[test]
+fn by_the_clock_a_recording_has_the_wall_clock_and_says_what_it_lacks() {
+    let unix_ns = || UNIX_EPOCH.elapsed().unwrap().as_nanos() as u64;
+    let sandbox = Sandbox::new();
+    let since_ns = unix_ns();
+    let args = ["lane_change", "--realtime", "--record", "--gains", "3,21,21,.7"];
+    let mut drive = sandbox.start("drive", "out", &args);
+    let recording = sandbox.path("out/recording.mcap");
+    drive.wait_for("a second of driving", || {
+        std::fs::metadata(&recording).is_ok_and(|meta| meta.len() > 40_000)
+    });
+    // For a tenth of a second no tick is answered: shorter than anybody takes it for frozen.
+    let controller = sandbox.service("controller").unwrap();
+    signal(controller, Signal::STOP);
+    std::thread::sleep(Duration::from_millis(100));
+    signal(controller, Signal::CONT);
+    let output = drive.finish();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{}", sandbox.story("out", &output));
+
+    let read = Recording::read(&recording).unwrap();
+    let result = sandbox.result("out");
+    let facts = &result["run"]["recording"];
+    assert_eq!((&facts["file"], &facts["missed"]), (&"recording.mcap".into(), &0.into()), "{facts}");
+    for topic in TICK_TOPICS {
+        assert_eq!(facts["topics"][topic]["messages"], read.of(topic).count(), "{topic}");
+    }
+    let unsent = facts["topics"]["raw_command"]["unsent"].as_u64().unwrap();
+    assert!(unsent >= 5, "{facts}");
+    assert!(told.contains("messages that no process sent: ") && told.contains("of raw_command"));
+    let end = read.end.as_ref().unwrap();
+    assert_eq!((&end["gaps"], &end["unsent.raw_command"]), (&"0".into(), &unsent.to_string()));
+
+    // A gap does not cost the CSV, which has every tick that all processes sent.
+    let lacking = result["drives_lacking"]["drive"].as_u64().unwrap();
+    assert!(lacking >= 5 && told.contains(&format!("drives/drive.csv lacks {lacking} ticks")), "{told}");
+    let mut csv = csv::Reader::from_path(sandbox.path("out/drives/drive.csv")).unwrap();
+    let ticks: Vec<u64> = csv.records().map(|row| row.unwrap()[0].parse().unwrap()).collect();
+    assert!(ticks.len() > 300 && ticks.windows(2).all(|pair| pair[0] < pair[1]));
+
+    // Its time is the wall clock's, in the file as in the messages.
+    let origin_ns: u64 = read.beginning["wall_clock_origin_ns"].parse().unwrap();
+    let mut last_ns = since_ns;
+    for message in read.of("odometry") {
+        let header = TickHeader::take(&mut &message.data[..]).unwrap();
+        assert_eq!(message.log_time_ns, origin_ns + header.odometry_sent_ns);
+        assert!((last_ns..=unix_ns()).contains(&message.log_time_ns));
+        last_ns = message.log_time_ns;
+    }
+    let refused = sandbox.run(&["replay", "out/recording.mcap"]);
+    let why = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(64) && why.contains("was driven by the clock"), "{why}");
+    sandbox.assert_clean();
+}
+
+/// An interpreter with the packages that read recordings.
+fn python() -> Option<OsString> {
+    let python = std::env::var_os("PATHTUNE_PYTHON");
+    if python.is_none() {
         let why = "PATHTUNE_PYTHON names no interpreter with mcap, mcap-ros2-support and rosbags";
         assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
         eprintln!("skipped: {why}");
-        return;
-    };
+    }
+    python
+}
+
+/// What Python's readers make of a recording.
+fn assert_python_agrees(sandbox: &Sandbox, path: &Path, ticks: usize) {
+    let Some(python) = python() else { return };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read_recording.py");
     let output = Command::new(python)
         .arg(script)

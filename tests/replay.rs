@@ -3,10 +3,13 @@
 mod support;
 
 use std::fs;
-use std::process::Output;
+use std::os::unix::fs::PermissionsExt;
+use std::process::{Command, Output};
+use std::time::{Duration, Instant};
 
 use config::{Layers, Parameters, RunConfig};
 use rollout::Rollout;
+use rustix::process::Signal;
 use support::Sandbox;
 
 fn config(maneuver: &str) -> RunConfig {
@@ -138,6 +141,37 @@ fn a_split_recording_is_replayed_from_its_first_file() {
 }
 
 #[test]
+fn a_recording_with_a_flipped_bit_is_refused_or_the_same() {
+    let sandbox = Sandbox::new();
+    let args = ["drive", "lane_change", "--quiet", "--record", "--gains", "3,21,21,.7"];
+    assert!(sandbox.run(&[&args[..], &["--out", "out"]].concat()).status.success());
+    let bytes = fs::read(sandbox.path("out/recording.mcap")).unwrap();
+    let flips: usize = std::env::var("PATHTUNE_FLIPS").map_or(40, |it| it.parse().unwrap());
+    let flipped = sandbox.path("flipped.mcap").display().to_string();
+    let mut same = 0;
+    for flip in 0..flips {
+        let bit = (flip * 8 * bytes.len() + 5 * flip) / flips;
+        let mut changed = bytes.clone();
+        changed[bit / 8] ^= 1 << (bit % 8);
+        fs::write(&flipped, changed).unwrap();
+        // In bounded memory, however large the numbers in the file.
+        let replay = "ulimit -v 2000000; exec \"$0\" replay \"$1\"";
+        let output = Command::new("sh")
+            .args(["-c", replay, env!("CARGO_BIN_EXE_pathtune"), &flipped])
+            .env("XDG_RUNTIME_DIR", sandbox.path("r"))
+            .output()
+            .unwrap();
+        let (code, out, err) = told(&output);
+        match code {
+            Some(0) => same += usize::from(out.starts_with("no difference: 500 ticks")),
+            code => assert!(code == Some(64) && err.trim_end().lines().count() == 1, "{bit}: {err}"),
+        }
+    }
+    assert!(same < flips / 2, "{same}");
+    sandbox.assert_clean();
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused() {
     let sandbox = Sandbox::new();
     let file = record(&sandbox, "lane_change", "3,21,21,.7");
@@ -152,8 +186,17 @@ fn what_cannot_be_compared_is_refused() {
     let mut changed = bytes.clone();
     changed[at..at + layout.len()].fill(b'0');
     fs::write(&old, changed).unwrap();
+    // A first record of 2^64 - 1 bytes.
+    let endless = sandbox.path("endless.mcap");
+    let mut changed = bytes.clone();
+    changed[9..17].fill(0xff);
+    fs::write(&endless, changed).unwrap();
+    let folder = sandbox.path("folder");
+    fs::create_dir(&folder).unwrap();
     for (file, more, part) in [
-        (old.display().to_string(), &[][..], "was made by an earlier version of pathtune; "),
+        (folder.display().to_string(), &[][..], "not a regular file"),
+        (endless.display().to_string(), &[], "was cut off"),
+        (old.display().to_string(), &[], "was made by an earlier version of pathtune; "),
         (cut.display().to_string(), &[], "cut off"),
         (text.display().to_string(), &[], "not a recording"),
         (sandbox.path("none.mcap").display().to_string(), &[], "failed to read"),
@@ -166,5 +209,33 @@ fn what_cannot_be_compared_is_refused() {
         assert_eq!(code, Some(64), "{part}: {out}{err}");
         assert!(err.contains(part) && err.trim_end().lines().count() == 1, "{part}: {err}");
     }
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_replay_works_in_a_folder_that_nobody_else_knows() {
+    let sandbox = Sandbox::new();
+    let args = ["drive", "lane_change", "--quiet", "--record", "--gains", "3,21,21,.7"];
+    assert!(sandbox.run(&[&args[..], &["--out", "out"]].concat()).status.success());
+    let temporary = sandbox.path("t");
+    fs::create_dir(&temporary).unwrap();
+    let args = ["replay", "out/recording.mcap", "--realtime"];
+    let replay = sandbox.command(&args).env("TMPDIR", &temporary).spawn().unwrap();
+    let until = Instant::now() + Duration::from_secs(30);
+    let folder = loop {
+        let entry = fs::read_dir(&temporary).unwrap().flatten().next();
+        match entry.filter(|it| it.path().join("config.toml").exists()) {
+            Some(entry) => break entry,
+            None => assert!(Instant::now() < until, "no folder"),
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    };
+    let name = folder.file_name().into_string().unwrap();
+    assert!(name.starts_with("pathtune-replay-") && !name.contains(&replay.id().to_string()));
+    assert_eq!(folder.metadata().unwrap().permissions().mode() & 0o777, 0o700);
+    support::signal(replay.id() as i32, Signal::INT);
+    let output = replay.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{:?}", told(&output));
+    assert_eq!(fs::read_dir(&temporary).unwrap().count(), 0, "{name} is left");
     sandbox.assert_clean();
 }

@@ -12,7 +12,6 @@ use runtime::observer::Observer;
 use runtime::run::{RunNames, living_runs};
 
 pub use crate::listener::Summary;
-pub use crate::progress::Heard;
 
 use crate::listener::{Listener, Look};
 use crate::service::{STEM, settings};

@@ -1,17 +1,19 @@
 //! Listens to all topics, counts what was missed, and hands everything to the tape.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use ipc_types::layout::Bytes;
 use ipc_types::topics::OBSERVER_BUFFER;
 use ipc_types::{Attempt, BatchHeader, DriveReport};
+use outcome::{RecordingFacts, TopicCounts};
 use runtime::Bus;
 
 use crate::Place;
-use crate::progress::{Heard, Reported, TickProgress};
-use crate::tape::Tape;
+use crate::progress::{Overflow, Reported, TickProgress};
+use crate::tape::{Tape, name_of};
 use crate::topics::{Sample, Tap, index_of, tap_all, topics};
 
 /// The largest number of messages of a topic that one look takes.
@@ -41,7 +43,10 @@ pub(crate) struct Listener {
     block: Vec<Sample>,
     /// Progress by topic, for those that are sent once a tick.
     ticks: BTreeMap<usize, TickProgress>,
-    others: BTreeMap<usize, Heard>,
+    /// Number of messages by topic, for the others.
+    others: BTreeMap<usize, u64>,
+    /// By topic.
+    overflows: Vec<Overflow>,
     reported: Reported,
     /// The request that was received last.
     pub(crate) requested: Option<Place>,
@@ -60,15 +65,17 @@ impl Listener {
             if topic.is_per_tick {
                 ticks.insert(index, TickProgress::default());
             } else {
-                others.insert(index, Heard::default());
+                others.insert(index, 0);
             }
         }
+        let overflows = vec![Overflow::default(); topics().len()];
         Ok(Self {
             taps: tap_all(bus)?,
             tape,
             block: Vec::new(),
             ticks,
             others,
+            overflows,
             reported: Reported::default(),
             requested: None,
             behind: Duration::ZERO,
@@ -90,12 +97,17 @@ impl Listener {
                     is_all = false;
                     break;
                 }
-                let Some(sample) = tap.take()? else { break };
+                let overflow = &mut self.overflows[tap.topic()];
+                let Some(sample) = tap.take()? else {
+                    overflow.was_empty();
+                    break;
+                };
+                overflow.took();
                 bytes += sample.bytes.len();
                 if let Some(ticks) = self.ticks.get_mut(&sample.topic) {
                     ticks.note(sample.place);
-                } else if let Some(heard) = self.others.get_mut(&sample.topic) {
-                    heard.messages += 1;
+                } else if let Some(messages) = self.others.get_mut(&sample.topic) {
+                    *messages += 1;
                 }
                 if sample.topic == self.requests {
                     self.requested = Some(sample.place);
@@ -151,14 +163,19 @@ impl Listener {
             }
         }
         let topics = topics();
-        let mut summary = Summary { behind: self.behind, ..Summary::default() };
+        let mut heard = BTreeMap::new();
         for (topic, ticks) in &mut self.ticks {
             ticks.end(self.reported.all());
-            summary.heard.insert(topics[*topic].name.to_owned(), ticks.heard().clone());
+            let counts = self.overflows[*topic].counts(ticks.messages, ticks.absent);
+            heard.insert(topics[*topic].name.to_owned(), counts);
         }
-        for (topic, heard) in self.others {
-            summary.heard.insert(topics[topic].name.to_owned(), heard);
+        for (topic, messages) in self.others {
+            // Of these nobody knows how many there were: a loss counts as one.
+            let TopicCounts { missed, .. } = self.overflows[topic].counts(messages, 1);
+            let counts = TopicCounts { messages, missed, unsent: 0 };
+            heard.insert(topics[topic].name.to_owned(), counts);
         }
+        let mut summary = Summary { file: PathBuf::new(), heard, behind: self.behind };
         summary.file = self.tape.finish(self.block, summary.metadata(digest))?;
         Ok(summary)
     }
@@ -175,45 +192,40 @@ fn longest(mut bytes: &[u8]) -> u64 {
 #[derive(Debug, Clone, Default)]
 pub struct Summary {
     /// The file that was written last.
-    pub file: std::path::PathBuf,
-    /// What was received and missed, by topic.
-    pub heard: BTreeMap<String, Heard>,
+    pub file: PathBuf,
+    /// What was received, by topic.
+    pub heard: BTreeMap<String, TopicCounts>,
     /// How long nothing could be taken because the disk could not keep up.
     pub behind: Duration,
 }
 
 impl Summary {
-    /// Number of missed messages, over all topics.
-    pub fn missed(&self) -> u64 {
-        self.heard.values().map(|heard| heard.missed).sum()
+    /// The summary for `result.json`.
+    pub fn facts(&self, from_first_tick: bool) -> RecordingFacts {
+        RecordingFacts {
+            file: name_of(&self.file),
+            from_first_tick,
+            messages: self.sum(|counts| counts.messages),
+            missed: self.sum(|counts| counts.missed),
+            unsent: self.sum(|counts| counts.unsent),
+            topics: self.heard.clone(),
+        }
     }
 
-    /// Number of written messages, over all topics.
-    pub fn messages(&self) -> u64 {
-        self.heard.values().map(|heard| heard.messages).sum()
-    }
-
-    /// What was missed, in words; `None` if nothing was.
-    pub fn gaps(&self) -> Option<String> {
-        let missed: Vec<String> = self
-            .heard
-            .iter()
-            .filter(|(_, heard)| heard.missed > 0)
-            .map(|(topic, Heard { messages, missed })| {
-                format!("{missed} of {} messages of {topic}", messages + missed)
-            })
-            .collect();
-        (!missed.is_empty()).then(|| missed.join(", "))
+    fn sum(&self, of: impl Fn(&TopicCounts) -> u64) -> u64 {
+        self.heard.values().map(of).sum()
     }
 
     fn metadata(&self, digest: Option<String>) -> BTreeMap<String, String> {
         let mut metadata = BTreeMap::from([
-            ("gaps".to_owned(), self.missed().to_string()),
+            ("gaps".to_owned(), self.sum(|counts| counts.missed).to_string()),
+            ("unsent".to_owned(), self.sum(|counts| counts.unsent).to_string()),
             ("behind_ms".to_owned(), self.behind.as_millis().to_string()),
         ]);
-        for (topic, heard) in &self.heard {
-            metadata.insert(format!("messages.{topic}"), heard.messages.to_string());
-            metadata.insert(format!("missed.{topic}"), heard.missed.to_string());
+        for (topic, TopicCounts { messages, missed, unsent }) in &self.heard {
+            metadata.insert(format!("messages.{topic}"), messages.to_string());
+            metadata.insert(format!("missed.{topic}"), missed.to_string());
+            metadata.insert(format!("unsent.{topic}"), unsent.to_string());
         }
         if let Some(digest) = digest {
             metadata.insert("digest".to_owned(), digest);

@@ -3,11 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::{Context, Result};
-use mcap::read::{ChunkFlattener, Options};
-use mcap::records::Record;
+use anyhow::{Context, Result, ensure};
 
+use crate::container::{End, Record, scan};
 pub use crate::tape::{BEGINNING, END};
+use crate::{layout_digest, raw};
+
+/// The most that is kept of a recording in memory.
+pub const KEPT_LIMIT: usize = 1 << 30;
 
 /// Our part of a recording.
 #[derive(Debug, Default)]
@@ -18,9 +21,9 @@ pub struct Recording {
     pub end: Option<BTreeMap<String, String>>,
     /// The attached files, by name.
     pub attachments: BTreeMap<String, Vec<u8>>,
-    /// The messages of all channels, in the order of the file.
+    /// The messages of all channels, in the order of the file; none if they were given away.
     pub messages: Vec<Message>,
-    /// Why reading ended before the end, if it did.
+    /// Why reading ended before the end, if it did, as the end of a sentence about the file.
     pub cut_off: Option<String>,
 }
 
@@ -31,76 +34,115 @@ pub struct Message {
     pub topic: String,
     /// Its time on the recording's timeline.
     pub log_time_ns: u64,
-    /// Its bytes.
+    /// Its bytes: of our own topics those that were in shared memory, of the others CDR.
     pub data: Vec<u8>,
+}
+
+/// Keeps count of what is kept in memory.
+#[derive(Debug, Default)]
+pub struct Kept(usize);
+
+impl Kept {
+    /// Notes what is to be kept next.
+    ///
+    /// # Errors
+    /// If it would be more than [`KEPT_LIMIT`] in all.
+    pub fn note(&mut self, bytes: usize) -> Result<()> {
+        self.0 = self.0.saturating_add(bytes);
+        ensure!(
+            self.0 <= KEPT_LIMIT,
+            "holds more than {} MiB of what would have to be kept in memory; record fewer drives in one run",
+            KEPT_LIMIT >> 20
+        );
+        Ok(())
+    }
 }
 
 impl Recording {
     /// Reads a file, as far as it goes.
     ///
     /// # Errors
-    /// If it cannot be read at all, or is not an MCAP file.
+    /// If it cannot be read at all, is not a recording of this version, or is too large to be kept in memory.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::read_only(path, |_| true)
+        let (mut messages, mut kept) = (Vec::new(), Kept::default());
+        let recording = Self::read_with(path, |topic, log_time_ns, data| {
+            kept.note(size_of::<Message>() + topic.len() + data.len())?;
+            let (topic, data) = (topic.to_owned(), data.to_owned());
+            messages.push(Message { topic, log_time_ns, data });
+            Ok(())
+        })?;
+        Ok(Self { messages, ..recording })
     }
 
-    /// As [`Recording::read`], with only the messages of some channels.
+    /// As [`Recording::read`], with the messages given to `take` one after the other: channel, time on the recording's
+    /// timeline, and bytes.
     ///
     /// # Errors
-    /// As [`Recording::read`].
-    pub fn read_only(path: &Path, wanted: impl Fn(&str) -> bool) -> Result<Self> {
-        let bytes =
-            std::fs::read(path).with_context(|| format!("failed to read {}", path.display()))?;
-        Self::parse(&bytes, wanted)
-            .with_context(|| format!("{} is not a recording", path.display()))
+    /// As [`Recording::read`], and that of `take`, as the end of a sentence about the file.
+    pub fn read_with(
+        path: &Path,
+        mut take: impl FnMut(&str, u64, &[u8]) -> Result<()>,
+    ) -> Result<Self> {
+        let mut recording = Self::default();
+        let (mut channels, mut kept) = (BTreeMap::new(), Kept::default());
+        let mut refused = None;
+        let end = scan(path, |record| {
+            recording
+                .note(record, &mut channels, &mut kept, &mut take)
+                .inspect_err(|why| refused = Some(format!("{} {why:#}", path.display())))
+        });
+        if let Some(why) = refused {
+            anyhow::bail!(why);
+        }
+        recording.cut_off = match end.with_context(|| format!("failed to read {}", path.display()))? {
+            End::Whole => None,
+            End::CutOff(what) => Some(format!("was cut off: {what}")),
+            End::Damaged(where_and_why) => Some(format!("is damaged {where_and_why}")),
+        };
+        ensure!(
+            !recording.beginning.is_empty(),
+            "{} is not a recording by pathtune",
+            path.display()
+        );
+        Ok(recording)
     }
 
-    fn parse(bytes: &[u8], wanted: impl Fn(&str) -> bool) -> Result<Self> {
-        let mut recording = Self::default();
-        let mut channels = BTreeMap::new();
-        let mut ended = false;
-        for record in ChunkFlattener::new_with_options(bytes, Options::IgnoreEndMagic.into())? {
-            let record = match record {
-                Ok(record) => record,
-                Err(error) => {
-                    recording.cut_off = Some(error.to_string());
-                    break;
-                }
-            };
-            match record {
-                Record::Channel(channel) => {
-                    channels.insert(channel.id, channel.topic);
-                }
-                Record::Message { header, data } => {
-                    let topic: String =
-                        channels.get(&header.channel_id).cloned().unwrap_or_default();
-                    if !wanted(&topic) {
-                        continue;
-                    }
-                    let log_time_ns = header.log_time;
-                    recording.messages.push(Message {
-                        topic,
-                        log_time_ns,
-                        data: data.into_owned(),
-                    });
-                }
-                Record::Metadata(metadata) if metadata.name == BEGINNING => {
-                    recording.beginning = metadata.metadata;
-                }
-                Record::Metadata(metadata) if metadata.name == END => {
-                    recording.end = Some(metadata.metadata);
-                }
-                Record::Attachment { header, data, .. } => {
-                    recording.attachments.insert(header.name, data.into_owned());
-                }
-                Record::Footer(_) => ended = true,
-                _ => {}
+    fn note(
+        &mut self,
+        record: Record<'_>,
+        channels: &mut BTreeMap<u16, String>,
+        kept: &mut Kept,
+        take: &mut impl FnMut(&str, u64, &[u8]) -> Result<()>,
+    ) -> Result<()> {
+        match record {
+            Record::Channel { id, topic } => {
+                kept.note(topic.len())?;
+                channels.insert(id, topic.to_owned());
+            }
+            Record::Message { channel, log_time_ns, data } => {
+                ensure!(!self.beginning.is_empty(), "is not a recording by pathtune");
+                let topic = channels.get(&channel).map_or("", String::as_str);
+                let is_ours = topic.starts_with("/pathtune/");
+                let data = if is_ours { raw::unwrap(data) } else { Some(data) };
+                let data = data.context("is damaged: a message is not as long as it says")?;
+                take(topic, log_time_ns, data)?;
+            }
+            Record::Metadata { name: BEGINNING, entries } => {
+                ensure!(
+                    entries.get("layout") == Some(&layout_digest()),
+                    "was made by an earlier version of pathtune; its messages have another layout, so this one cannot \
+                     replay it"
+                );
+                self.beginning = entries;
+            }
+            Record::Metadata { name: END, entries } => self.end = Some(entries),
+            Record::Metadata { .. } => {}
+            Record::Attachment { name, data } => {
+                kept.note(name.len() + data.len())?;
+                self.attachments.insert(name.to_owned(), data.to_owned());
             }
         }
-        if !ended && recording.cut_off.is_none() {
-            recording.cut_off = Some("the end of the file is missing".to_owned());
-        }
-        Ok(recording)
+        Ok(())
     }
 
     /// The messages of one of our topics.

@@ -12,6 +12,7 @@ use anyhow::{Context, Result};
 use config::RunConfig;
 use config::launch::{Launch, Role};
 use ipc_types::{Attempt, BatchHeader, Credit, DriveRequest, WakeRole};
+use outcome::RecordingFacts;
 use runtime::clock::now_ns;
 use runtime::{Attachment, Counters, Outlet, Service, join, serve};
 use serde_json::Value;
@@ -19,6 +20,7 @@ use serde_json::Value;
 use crate::layout_digest;
 use crate::listener::{Listener, Look};
 use crate::tape::{Files, Settings, Tape, name_of};
+use crate::timeline::WallClock;
 
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
@@ -56,14 +58,18 @@ pub fn run() -> Result<()> {
     };
     serve(&attachment, &bus, WakeRole::Recorder, &mut recorder)?;
     let summary = recorder.listener.finish(digest(&attachment))?;
-    if let Some(gaps) = summary.gaps() {
-        tracing::warn!("the recording has gaps: {gaps}");
+    let facts = summary.facts(before.is_none());
+    for line in facts.told() {
+        tracing::warn!("{line}");
     }
     if !summary.behind.is_zero() {
         tracing::warn!(behind = ?summary.behind, "could not keep up; a vehicle in lockstep waited for this long");
     }
-    tracing::info!(file = %summary.file.display(), messages = summary.messages(), "recorded");
-    Ok(())
+    tracing::info!(file = %summary.file.display(), messages = facts.messages, "recorded");
+    // For the orchestrator, which joins it with the result.
+    let path = attachment.names.root.join(RecordingFacts::FILE);
+    fs::write(&path, serde_json::to_vec(&facts)?)
+        .with_context(|| format!("failed to write {path:?}"))
 }
 
 /// What the files of a recording have in common.
@@ -74,6 +80,7 @@ pub(crate) fn settings(
     run: u64,
     from_first_tick: bool,
 ) -> Settings {
+    let wall = WallClock::now();
     let beginning = BTreeMap::from(
         [
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
@@ -82,6 +89,7 @@ pub(crate) fn settings(
             ("maneuver", config.maneuver.clone()),
             ("seed", config.run.seed.to_string()),
             ("tick_s", config.drive.tick_s.to_string()),
+            ("wall_clock_origin_ns", wall.origin_ns.to_string()),
             ("from_first_tick", from_first_tick.to_string()),
         ]
         .map(|(key, value)| (key.to_owned(), value)),
@@ -90,7 +98,15 @@ pub(crate) fn settings(
         .iter()
         .filter_map(|name| Some(((*name).to_owned(), fs::read(folder.join(name)).ok()?)))
         .collect();
-    Settings { files, tick_s: config.drive.tick_s, beginning, attachments }
+    Settings {
+        files,
+        tick_s: config.drive.tick_s,
+        path: tracking::Path::new(&config.path),
+        wall,
+        by_the_clock: config.run.realtime,
+        beginning,
+        attachments,
+    }
 }
 
 /// The size of files according to the launch file.

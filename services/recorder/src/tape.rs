@@ -4,17 +4,23 @@
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File, OpenOptions};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
+use ipc_types::layout::Bytes;
+use ipc_types::{BatchHeader, DriveRequest, has};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions, Writer};
 
+use crate::raw;
 use crate::ros::{Kind, RosMessage, Teller};
-use crate::timeline::Timeline;
-use crate::topics::{Sample, TopicInfo, topics};
+use crate::rosbag;
+use crate::timeline::{Timeline, WallClock};
+use crate::topics::{Sample, TopicInfo, index_of, topics};
 
 /// Name of the metadata record at a file's beginning.
 pub const BEGINNING: &str = "pathtune";
@@ -25,8 +31,9 @@ pub const END: &str = "pathtune.end";
 const CHUNK_BYTES: u64 = 1 << 20;
 /// A chunk is closed at this age: a `kill -9` may cost that much, and a little more for the disk.
 const CHUNK_AGE: Duration = Duration::from_millis(800);
-/// How many blocks of samples may wait for the disk.
-const QUEUE: usize = 32;
+/// How many bytes of messages may wait for the disk. By the clock nothing waits for the recorder: at 100 Hz a car's run
+/// fills this in about three minutes.
+const QUEUE_BYTES: usize = 32 << 20;
 
 /// The settings of a recording's files.
 #[derive(Debug, Clone)]
@@ -34,6 +41,11 @@ pub(crate) struct Settings {
     /// The first file; further ones are numbered.
     pub(crate) files: Files,
     pub(crate) tick_s: f64,
+    /// The path that is driven.
+    pub(crate) path: tracking::Path,
+    pub(crate) wall: WallClock,
+    /// The run is to be driven in real time.
+    pub(crate) by_the_clock: bool,
     /// The metadata at the beginning of each file.
     pub(crate) beginning: BTreeMap<String, String>,
     /// Files that are attached to each file: their names and contents.
@@ -88,7 +100,9 @@ pub(crate) fn name_of(path: &Path) -> String {
 
 /// A recording that is being written by a thread.
 pub(crate) struct Tape {
-    blocks: Option<SyncSender<Vec<Sample>>>,
+    blocks: Option<Sender<Vec<Sample>>>,
+    /// Bytes that wait for the thread.
+    waiting: Arc<AtomicUsize>,
     thread: Option<JoinHandle<Result<Reel>>>,
 }
 
@@ -99,12 +113,14 @@ impl Tape {
     /// If its file cannot be created.
     pub(crate) fn start(settings: Settings) -> Result<Self> {
         let reel = Reel::new(settings)?;
-        let (blocks, incoming) = sync_channel(QUEUE);
+        let (blocks, incoming) = channel();
+        let waiting = Arc::new(AtomicUsize::new(0));
+        let written = waiting.clone();
         let thread = std::thread::Builder::new()
             .name("tape".to_owned())
-            .spawn(move || reel.run(&incoming))
+            .spawn(move || reel.run(&incoming, &written))
             .context("failed to start the writing thread")?;
-        Ok(Self { blocks: Some(blocks), thread: Some(thread) })
+        Ok(Self { blocks: Some(blocks), waiting, thread: Some(thread) })
     }
 
     /// Hands samples over, unless the thread is too far behind; then it returns them.
@@ -113,14 +129,15 @@ impl Tape {
     /// If the file could not be written.
     pub(crate) fn offer(&mut self, block: Vec<Sample>) -> Result<Option<Vec<Sample>>> {
         let Some(blocks) = &self.blocks else { return Ok(None) };
-        match blocks.try_send(block) {
-            Ok(()) => Ok(None),
-            Err(TrySendError::Full(block)) => Ok(Some(block)),
-            Err(TrySendError::Disconnected(_)) => {
-                self.join()?;
-                Err(anyhow!("the recording has ended unexpectedly"))
-            }
+        if self.waiting.load(Ordering::Relaxed) > QUEUE_BYTES {
+            return Ok(Some(block));
         }
+        self.waiting.fetch_add(bytes_of(&block), Ordering::Relaxed);
+        if blocks.send(block).is_err() {
+            self.join()?;
+            return Err(anyhow!("the recording has ended unexpectedly"));
+        }
+        Ok(None)
     }
 
     fn join(&mut self) -> Result<Option<Reel>> {
@@ -136,6 +153,7 @@ impl Tape {
         end: BTreeMap<String, String>,
     ) -> Result<PathBuf> {
         if let Some(blocks) = &self.blocks {
+            self.waiting.fetch_add(bytes_of(&rest), Ordering::Relaxed);
             // The thread may have failed, which the join reports.
             let _ = blocks.send(rest);
         }
@@ -143,6 +161,11 @@ impl Tape {
         reel.close(end)?;
         Ok(reel.settings.files.path())
     }
+}
+
+/// What a block takes of the queue.
+fn bytes_of(block: &[Sample]) -> usize {
+    block.iter().map(|sample| size_of::<Sample>() + sample.bytes.len()).sum()
 }
 
 /// The thread's part.
@@ -155,6 +178,10 @@ struct Reel {
     file: File,
     /// The channels of our own topics, in their order, with the number of the next message.
     own: Vec<(u16, u32)>,
+    /// Number of the topic of requests, which say how the vehicle paces.
+    requests: usize,
+    /// Room for one wrapped message.
+    wrapped: Vec<u8>,
     ros: HashMap<String, (u16, u32)>,
     /// When the open chunk was begun.
     chunk_since: Instant,
@@ -167,13 +194,15 @@ impl Reel {
         let topics = topics();
         let (writer, file) = open(&settings)?;
         let mut reel = Self {
-            timeline: Timeline::new(settings.tick_s),
+            timeline: Timeline::new(settings.tick_s, settings.wall, settings.by_the_clock),
+            teller: Teller::new(settings.path.clone()),
             settings,
             topics,
-            teller: Teller::default(),
             writer,
             file,
             own: Vec::new(),
+            requests: index_of("drive_request"),
+            wrapped: Vec::new(),
             ros: HashMap::new(),
             chunk_since: Instant::now(),
             unlooked: 0,
@@ -199,19 +228,25 @@ impl Reel {
                 data: data.as_slice().into(),
             })?;
         }
+        let rosbag2 = Metadata { name: rosbag::RECORD.to_owned(), metadata: rosbag::metadata() };
+        self.writer.write_metadata(&rosbag2)?;
         self.own.clear();
         self.ros.clear();
+        self.teller.begin_file();
+        let schema = self.writer.add_schema(raw::SCHEMA, "ros2msg", raw::DEFINITION.as_bytes())?;
         for topic in &self.topics {
-            // Readers of ROS recordings fail on schemas of another encoding: ours is in the channel's metadata.
             let metadata = BTreeMap::from([
                 ("element".to_owned(), topic.element.to_owned()),
                 ("header".to_owned(), topic.header.to_owned()),
                 ("layout".to_owned(), topic.layout.clone()),
+                (rosbag::QOS.to_owned(), rosbag::qos(false)),
             ]);
-            let id = self.writer.add_channel(0, &topic.channel(), "pathtune", &metadata)?;
+            let id = self.writer.add_channel(schema, &topic.channel(), "cdr", &metadata)?;
             self.own.push((id, 0));
         }
         for (topic, kind) in [
+            ("/path", Kind::Path),
+            ("/tf", Kind::TfMessage),
             ("/odom", Kind::Odometry),
             ("/truth", Kind::Odometry),
             ("/cmd", Kind::AckermannDriveStamped),
@@ -227,18 +262,20 @@ impl Reel {
     fn ros_channel(&mut self, topic: &str, kind: Kind) -> Result<u16> {
         let (name, text) = kind.schema();
         let schema = self.writer.add_schema(name, "ros2msg", text.as_bytes())?;
-        let id = self.writer.add_channel(schema, topic, "cdr", &BTreeMap::new())?;
+        let qos = BTreeMap::from([(rosbag::QOS.to_owned(), rosbag::qos(kind == Kind::Path))]);
+        let id = self.writer.add_channel(schema, topic, "cdr", &qos)?;
         self.ros.insert(topic.to_owned(), (id, 0));
         Ok(id)
     }
 
-    fn run(mut self, incoming: &Receiver<Vec<Sample>>) -> Result<Self> {
+    fn run(mut self, incoming: &Receiver<Vec<Sample>>, waiting: &AtomicUsize) -> Result<Self> {
         loop {
             match incoming.recv_timeout(CHUNK_AGE / 8) {
                 Ok(block) => {
-                    for sample in block {
-                        self.write(&sample)?;
+                    for sample in &block {
+                        self.write(sample)?;
                     }
+                    waiting.fetch_sub(bytes_of(&block), Ordering::Relaxed);
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(self),
@@ -252,16 +289,20 @@ impl Reel {
     }
 
     fn write(&mut self, sample: &Sample) -> Result<()> {
+        if sample.topic == self.requests {
+            self.timeline.pace(is_by_the_clock(&sample.bytes));
+        }
         let stamp_ns = self.timeline.stamp(sample.place);
+        raw::wrap(&sample.bytes, &mut self.wrapped);
         let (id, sequence) = &mut self.own[sample.topic];
         let header = MessageHeader {
             channel_id: *id,
             sequence: *sequence,
             log_time: stamp_ns,
-            publish_time: sample.place.sent_ns,
+            publish_time: self.settings.wall.unix_ns(sample.place.sent_ns),
         };
         *sequence = sequence.wrapping_add(1);
-        self.writer.write_to_known_channel(&header, &sample.bytes)?;
+        self.writer.write_to_known_channel(&header, &self.wrapped)?;
         self.unlooked += sample.bytes.len() as u64;
         let told = self.teller.tell(self.topics[sample.topic].name, &sample.bytes, stamp_ns);
         for RosMessage { topic, kind, cdr } in told {
@@ -305,6 +346,13 @@ impl Reel {
         self.writer.finish()?;
         Ok(())
     }
+}
+
+/// Whether the drives of a request are paced by the clock.
+fn is_by_the_clock(mut request: &[u8]) -> bool {
+    let _ = BatchHeader::take(&mut request);
+    DriveRequest::take(&mut request)
+        .is_some_and(|first| has(first.flags, DriveRequest::REAL_TIME))
 }
 
 /// Opens the file of the settings, which must be new.

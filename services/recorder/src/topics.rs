@@ -6,6 +6,8 @@ use ipc_types::{Attempt, BatchHeader, Message, TickHeader, for_each_topic};
 use runtime::{Bus, Inlet};
 use serde_json::{Value, json};
 
+use crate::raw;
+
 /// Where in a run a message belongs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Place {
@@ -117,7 +119,9 @@ pub(crate) fn index_of(name: &str) -> usize {
 
 /// A digest that is the same for two recordings if and only if their layouts are the same.
 pub fn layout_digest() -> String {
-    let names: Vec<_> = topics().iter().flat_map(|topic| [topic.header, topic.element]).collect();
+    // How messages are wrapped counts, too.
+    let mut names = vec![raw::SCHEMA];
+    names.extend(topics().iter().flat_map(|topic| [topic.header, topic.element]));
     // FNV-1a, 64 bits: it only has to distinguish versions of one program, not resist attacks.
     let hash = names.join(";").bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)

@@ -13,7 +13,7 @@ use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
 use serde::{Deserialize, Serialize};
 
-use crate::script::{Batch, Order, batches};
+use crate::script::{Batch, COMPARED, Order, batches};
 
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
@@ -56,7 +56,7 @@ pub fn run() -> Result<()> {
         parameters.map_err(|(name, problem)| anyhow!("{}: {name} {problem}", Order::FILE))
     };
     let by_zone = order.by_zone.iter().map(parameters_of).collect::<Result<_>>()?;
-    let batches = batches(&order.file, &[RawCommand::TOPIC.name, Command::TOPIC.name])?;
+    let batches = batches(&order.file, &COMPARED, attachment.max_len)?;
     let mut reviewer = Reviewer {
         requests: bus.inlet()?,
         zones: bus.inlet()?,
@@ -142,7 +142,7 @@ impl<M: Message<Header = TickHeader>> ComparedTopic<M> {
 fn first_difference<M: Message>(tick: u64, items: &[M], batch: &Batch) -> Option<Difference> {
     let recorded = batch.ticks.get(M::TOPIC.name)?.get(tick as usize);
     let differs = |slot: usize, field: &str, recorded: String, replayed: String| Difference {
-        batch: batch.number,
+        batch: batch.number(),
         tick,
         slot,
         topic: M::TOPIC.name.to_owned(),

@@ -6,10 +6,15 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use config::NamedParameters;
 use ipc_types::layout::Bytes;
-use ipc_types::{BatchHeader, DriveRequest, GainSwitch, TickHeader};
-use recorder::layout_digest;
-use recorder::reading::Recording;
+use ipc_types::{
+    Attempt, BatchHeader, Command, DriveRequest, GainSwitch, Message, Odometry, RawCommand,
+    TickHeader,
+};
+use recorder::reading::{Kept, Recording};
 use serde::{Deserialize, Serialize};
+
+/// The topics that are compared.
+pub(crate) const COMPARED: [&str; 2] = [RawCommand::TOPIC.name, Command::TOPIC.name];
 
 /// The order for the processes of a replay: a file in the run's folder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -48,37 +53,49 @@ impl Order {
 /// # Errors
 /// If it cannot; the error says why in one line.
 pub fn check(file: &Path) -> Result<String> {
-    let mut parts = parts(file, |_| false)?.into_iter();
+    let mut kept = Kept::default();
+    let mut parts = read_parts(file, |name, bytes| {
+        let is_kept = COMPARED.contains(&name) || name == Odometry::TOPIC.name;
+        if is_kept { kept.note(bytes.len()) } else { Ok(()) }
+    })?
+    .into_iter();
     let recording = parts.next().context("a first part")?;
-    let beginning = |key: &str| recording.beginning.get(key).map(String::as_str);
     let why = |why: &str| format!("{} {why}", file.display());
     ensure!(
-        beginning("from_first_tick") == Some("true"),
+        recording.beginning.get("from_first_tick").is_some_and(|it| it == "true"),
         why("does not begin with the first tick of its run; record it with --record")
     );
     let last = parts.next_back();
     let last = last.as_ref().unwrap_or(&recording);
-    let end = last.end.as_ref().filter(|_| last.cut_off.is_none());
-    let Some(end) = end else { bail!(why("was cut off: its end is missing")) };
+    let Some(end) = &last.end else { bail!(why("was cut off: its end is missing")) };
+    let is_zero = |key: &str| end.get(key).is_some_and(|count| count == "0");
+    ensure!(is_zero("gaps"), why("has gaps: missing messages cannot be compared"));
     ensure!(
-        end.get("gaps").is_some_and(|gaps| gaps == "0"),
-        why("has gaps: missing messages cannot be compared")
+        is_zero("unsent"),
+        why("was driven by the clock, and some ticks had no messages: only a drive without such ticks can be compared")
     );
     let config = recording.attachments.get("config.toml");
     let Some(config) = config else { bail!(why("holds no configuration")) };
-    Ok(String::from_utf8(config.clone())?)
+    String::from_utf8(config.clone()).with_context(|| why("holds a configuration that is no text"))
 }
 
-/// Reads a recording with the messages of some channels, and the files that continue it.
-fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> {
-    let mut parts = vec![Recording::read_only(first, &wanted)?];
+/// Reads a recording and the files that continue it, and gives the messages of our own topics to `take`: the topic's
+/// name, and the message's bytes.
+fn read_parts(
+    first: &Path,
+    mut take: impl FnMut(&str, &[u8]) -> Result<()>,
+) -> Result<Vec<Recording>> {
+    let mut read = |path: &Path| {
+        let recording = Recording::read_with(path, |channel, _, data| {
+            channel.strip_prefix("/pathtune/").map_or(Ok(()), |name| take(name, data))
+        })?;
+        match &recording.cut_off {
+            Some(why) => bail!("{} {why}", path.display()),
+            None => Ok(recording),
+        }
+    };
+    let mut parts = vec![read(first)?];
     let beginning = &parts[0].beginning;
-    ensure!(!beginning.is_empty(), "{} is not a recording by pathtune", first.display());
-    ensure!(
-        beginning.get("layout") == Some(&layout_digest()),
-        "{} was made by an earlier version of pathtune; its messages have another layout, so this one cannot replay it",
-        first.display()
-    );
     if let (Some(number), Some(before)) = (beginning.get("file"), beginning.get("continues")) {
         let file = first.display();
         bail!("{file} is part {number} of a recording, after {before}; name the first one");
@@ -91,8 +108,8 @@ fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> 
             .file_name()
             .context("a recording does not name the file that continues it")?;
         let path = first.with_file_name(name);
-        let part = Recording::read_only(&path, &wanted)
-            .with_context(|| format!("{} is continued in {next}", first.display()))?;
+        let part =
+            read(&path).with_context(|| format!("{} is continued in {next}", first.display()))?;
         let number = (parts.len() + 1).to_string();
         ensure!(
             part.beginning.get("run") == parts[0].beginning.get("run")
@@ -106,52 +123,82 @@ fn parts(first: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<Recording>> 
     Ok(parts)
 }
 
-/// A batch as it was recorded.
+/// A batch as it was recorded, in its last attempt.
 #[derive(Debug, Default)]
 pub(crate) struct Batch {
-    /// Its number in the recording.
-    pub(crate) number: u64,
+    attempt: Attempt,
+    is_reported: bool,
     pub(crate) requests: Vec<DriveRequest>,
     pub(crate) switches: Vec<GainSwitch>,
     /// Elements of the topics that are replayed or compared, tick by tick, as bytes.
     pub(crate) ticks: BTreeMap<&'static str, Vec<Vec<u8>>>,
 }
 
-/// Reads the batches of a recording that were driven to their end, each in its last attempt, with these topics.
-pub(crate) fn batches(file: &Path, topics: &[&'static str]) -> Result<Vec<Batch>> {
-    let others = ["drive_request", "drive_report", "gains"];
-    let parts = parts(file, |channel| {
-        let name = channel.strip_prefix("/pathtune/").unwrap_or_default();
-        others.contains(&name) || topics.contains(&name)
-    })?;
-    let mut reported = BTreeMap::new();
-    for message in parts.iter().flat_map(|part| part.of("drive_report")) {
-        let header = BatchHeader::take(&mut &message.data[..]).context("a report")?;
-        reported.insert(header.attempt.batch, header.attempt);
+impl Batch {
+    /// Its number in the recording.
+    pub(crate) fn number(&self) -> u64 {
+        self.attempt.batch
     }
+}
+
+/// Reads the batches of a recording that were driven to their end, each in its last attempt, with these topics, which
+/// are sent once a tick. `max_len` is the largest number of elements that a message may have.
+pub(crate) fn batches(file: &Path, topics: &[&'static str], max_len: usize) -> Result<Vec<Batch>> {
     let mut all: BTreeMap<u64, Batch> = BTreeMap::new();
-    for message in parts.iter().flat_map(|part| &part.messages) {
-        let name = message.topic.strip_prefix("/pathtune/").unwrap_or_default();
-        let mut bytes = &message.data[..];
+    let mut kept = Kept::default();
+    read_parts(file, |name, mut bytes| {
         let per_tick = topics.iter().find(|topic| **topic == name);
-        let attempt = match per_tick {
-            Some(_) => TickHeader::take(&mut bytes).map(|it| it.attempt),
-            None => BatchHeader::take(&mut bytes).map(|it| it.attempt),
+        let (attempt, tick) = match (per_tick, name) {
+            (Some(_), _) => TickHeader::take(&mut bytes).map(|it| (it.attempt, it.tick)),
+            (None, "drive_request" | "drive_report" | "gains") => {
+                BatchHeader::take(&mut bytes).map(|it| (it.attempt, 0))
+            }
+            _ => return Ok(()),
         }
-        .context("a header")?;
-        if reported.get(&attempt.batch) != Some(&attempt) {
-            continue;
-        }
+        .context("is damaged: a message has no header")?;
         let of = all.entry(attempt.batch).or_default();
-        of.number = attempt.batch;
+        if of.attempt > attempt {
+            return Ok(());
+        }
+        if of.attempt < attempt {
+            *of = Batch { attempt, ..Batch::default() };
+        }
+        kept.note(size_of::<Vec<u8>>() + bytes.len())?;
         match (per_tick, name) {
-            (Some(topic), _) => of.ticks.entry(topic).or_default().push(bytes.to_vec()),
+            (Some(topic), _) => {
+                let ticks = of.ticks.entry(topic).or_default();
+                ensure!(
+                    tick == ticks.len() as u64,
+                    "is damaged: tick {} of batch {} is missing on {topic}",
+                    ticks.len(),
+                    attempt.batch
+                );
+                ticks.push(bytes.to_vec());
+            }
             (None, "drive_request") => of.requests = parse::<DriveRequest>(bytes),
             (None, "gains") => of.switches.extend(parse::<GainSwitch>(bytes)),
-            _ => {}
+            _ => of.is_reported = true,
         }
+        Ok(())
+    })?;
+    let whole: Vec<Batch> =
+        all.into_values().filter(|it| it.is_reported && !it.requests.is_empty()).collect();
+    let kinds = recorder::topics();
+    for batch in &whole {
+        let len = batch.requests.len();
+        let is_whole = |topic: &&'static str| {
+            let kind = kinds.iter().find(|it| it.name == *topic);
+            let bytes = kind.map_or(0, |it| it.element_bytes) * len;
+            batch.ticks.get(*topic).is_some_and(|ticks| ticks.iter().all(|it| it.len() == bytes))
+        };
+        ensure!(
+            len <= max_len && topics.iter().all(is_whole),
+            "{} is damaged: the messages of batch {} do not fit together",
+            file.display(),
+            batch.number()
+        );
     }
-    Ok(all.into_values().filter(|batch| !batch.requests.is_empty()).collect())
+    Ok(whole)
 }
 
 pub(crate) fn parse<M: Bytes>(mut bytes: &[u8]) -> Vec<M> {

@@ -22,10 +22,10 @@ pub fn run(file: Option<&Path>) -> Result<()> {
     let (attachment, bus, config) = join()?;
     attachment.take_place();
     let (batches, speed) = match file {
-        Some(file) => (batches(file, &["odometry"])?, None),
+        Some(file) => (batches(file, &["odometry"], MAX_FLEET)?, None),
         None => {
             let order = Order::read(&attachment.folder)?;
-            (batches(&order.file, &["odometry"])?, order.speed)
+            (batches(&order.file, &["odometry"], attachment.max_len)?, order.speed)
         }
     };
     let tick_ns = speed.map(|speed| (config.drive.tick_s * 1e9 / speed) as u64);

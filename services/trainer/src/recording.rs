@@ -1,4 +1,5 @@
-//! Records drives tick by tick, without a gap; the figures are drawn from these recordings.
+//! Records drives tick by tick; the figures are drawn from these recordings. In lockstep there is no gap; by the clock a
+//! tick is missing if not every process sent a message of it.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -51,8 +52,8 @@ const AT_ONCE: usize = 64;
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
 
-/// A recording that is not complete this long after its report will never be: a vehicle that does not wait for
-/// the recorder was too fast for it.
+/// A recording that is not complete this long after its report will never be: by the clock a process that is held up
+/// leaves ticks out.
 pub(crate) const RECORDING_PATIENCE: Duration = Duration::from_millis(500);
 
 /// Records the drives of a batch that ask for it.
@@ -93,8 +94,8 @@ struct JoinedTopic<M: Message> {
     inlet: Inlet<M>,
     /// A message of a batch whose request has not come yet: the two travel on different topics.
     early: Option<Received<M>>,
-    /// The elements of the recorded slots, tick by tick.
-    taken: VecDeque<M>,
+    /// The elements of the recorded slots, tick by tick, with the tick.
+    taken: VecDeque<(u64, Vec<M>)>,
     next_tick: u64,
 }
 
@@ -123,13 +124,14 @@ impl<M: Message<Header = TickHeader>> JoinedTopic<M> {
                 self.early = Some(message);
                 return Ok(taken > 0);
             }
-            let fits = (header.attempt, header.tick) == (batch.attempt, self.next_tick);
-            // After a gap nothing fits together any more: the drive remains unfinished, and is driven again.
+            // By the clock the supervisor may send several commands in a tick; the first one answers it.
+            let fits = header.attempt == batch.attempt && header.tick >= self.next_tick;
             if !fits || slots.iter().any(|slot| slot.slot >= message.items().len()) {
                 continue;
             }
-            self.taken.extend(slots.iter().map(|slot| message.items()[slot.slot]));
-            self.next_tick += 1;
+            let elements = slots.iter().map(|slot| message.items()[slot.slot]).collect();
+            self.taken.push_back((header.tick, elements));
+            self.next_tick = header.tick + 1;
         }
         Ok(true)
     }
@@ -208,28 +210,55 @@ impl Recorder {
     fn join_topics(&mut self) {
         let (odometry, errors, commands) =
             (&mut self.odometry.taken, &mut self.errors.taken, &mut self.commands.taken);
-        let count = self.slots.len();
-        while odometry.len().min(errors.len()).min(commands.len()) >= count {
-            let all =
-                odometry.drain(..count).zip(errors.drain(..count)).zip(commands.drain(..count));
-            for (slot, ((odometry, error), command)) in self.slots.iter_mut().zip(all) {
-                slot.rows.push(row(self.ticks, self.tick_s, &odometry, &error, &command));
+        while let (Some((seen, _)), Some((erred, _)), Some((given, _))) =
+            (odometry.front(), errors.front(), commands.front())
+        {
+            let tick = *seen.max(erred).max(given);
+            if seen != erred || seen != given {
+                // Each topic's ticks ascend: what is behind the newest of the three gets no partner any more.
+                drop_before(tick, odometry);
+                drop_before(tick, errors);
+                drop_before(tick, commands);
+                continue;
             }
-            self.ticks += 1;
+            let next = (odometry.pop_front(), errors.pop_front(), commands.pop_front());
+            let (Some((_, odometry)), Some((_, errors)), Some((_, commands))) = next else { break };
+            let all = odometry.iter().zip(&errors).zip(&commands);
+            for (slot, ((odometry, error), command)) in self.slots.iter_mut().zip(all) {
+                slot.rows.push(row(tick, self.tick_s, odometry, error, command));
+            }
+            self.ticks = tick + 1;
         }
     }
 
-    /// The recording of a drive that lasted `ticks`, once it is complete.
-    pub(crate) fn take_whole(&mut self, learner: u32, step: u32, ticks: u64) -> Option<Vec<Row>> {
-        let slot = self.slots.iter_mut().find(|it| (it.learner, it.step) == (learner, step))?;
-        if (slot.rows.len() as u64) < ticks {
+    /// The recording of a drive that lasted `ticks`: once it is complete, or as far as there is one.
+    pub(crate) fn take(
+        &mut self,
+        learner: u32,
+        step: u32,
+        ticks: u64,
+        must_be_whole: bool,
+    ) -> Option<Vec<Row>> {
+        let slot = self.slots.iter_mut().find(|it| (it.learner, it.step) == (learner, step));
+        let Some(slot) = slot else { return if must_be_whole { None } else { Some(Vec::new()) } };
+        if must_be_whole && (slot.rows.len() as u64) < ticks {
             return None;
         }
         // The other vehicles of the batch may drive on; this one has stood still since.
         slot.is_taken = true;
         let mut rows = std::mem::take(&mut slot.rows);
         rows.truncate(ticks as usize);
+        // By the clock the vehicle goes on after its end.
+        let end = rows.iter().position(|row| has(row.flags, Command::ENDED));
+        rows.truncate(end.map_or(rows.len(), |last| last + 1));
         Some(rows)
+    }
+}
+
+/// Drops the elements of earlier ticks.
+fn drop_before<M>(tick: u64, taken: &mut VecDeque<(u64, Vec<M>)>) {
+    while taken.front().is_some_and(|(of, _)| *of < tick) {
+        taken.pop_front();
     }
 }
 
