@@ -26,34 +26,51 @@ const SETS: usize = 50;
 
 #[test]
 fn the_pipeline_equals_plain_calls_bit_for_bit() {
-    let trainer = format!(
-        "trainer={} --exact trainer_process --ignored --nocapture",
-        std::env::current_exe().unwrap().display()
-    );
     for maneuver in ["lane_change", "roundabout"] {
         for noise in [false, true] {
             for fleet in ["1", "5", "16"] {
-                let sandbox = Sandbox::new();
-                let mut args = vec!["train", maneuver, "--fleet", fleet, "--out", "out", "--quiet"];
-                args.extend(["--replace", &trainer, "--restart-budget", "0"]);
+                let mut args = vec!["train", maneuver, "--fleet", fleet];
                 if maneuver == "roundabout" {
                     args.extend(["--set", "drive.loop_time_s=10.0"]);
                 }
                 if noise {
                     args.push("--noise");
                 }
-                let output = sandbox.run(&args);
-                let compared = fs::read_to_string(sandbox.path("out").join("compared"));
-                assert_eq!(
-                    compared.unwrap_or_default(),
-                    format!("{SETS} sets"),
-                    "{args:?}: {}",
-                    sandbox.story("out", &output)
-                );
-                sandbox.assert_clean();
+                equals(&args);
             }
         }
     }
+}
+
+#[test]
+fn a_car_with_delays_and_lags_equals_plain_calls_too() {
+    let car = "steering_delay_s=0.153 steering_lag_s=0.1 steering_gain=0.9 steering_offset_rad=0.01 \
+               steering_dead_band_rad=0.004 speed_delay_s=0.117";
+    let car: Vec<String> = car.split(' ').map(|key| format!("vehicle.{key}")).collect();
+    let car: Vec<&str> = car.iter().flat_map(|key| ["--set", key]).collect();
+    for (vehicle, fleet) in [("tesla_model_3", "16"), ("tesla_model_3_dynamic", "5")] {
+        let args = ["train", "lane_change", "--fleet", fleet, "--noise", "--vehicle", vehicle];
+        equals(&[&args, &car[..]].concat());
+    }
+}
+
+/// A training with these arguments makes the drives that plain calls make.
+fn equals(args: &[&str]) {
+    let trainer = format!(
+        "trainer={} --exact trainer_process --ignored --nocapture",
+        std::env::current_exe().unwrap().display()
+    );
+    let sandbox = Sandbox::new();
+    let own = ["--out", "out", "--quiet", "--replace", &trainer, "--restart-budget", "0"];
+    let output = sandbox.run(&[args, &own].concat());
+    let compared = fs::read_to_string(sandbox.path("out").join("compared"));
+    assert_eq!(
+        compared.unwrap_or_default(),
+        format!("{SETS} sets"),
+        "{args:?}: {}",
+        sandbox.story("out", &output)
+    );
+    sandbox.assert_clean();
 }
 
 /// Not a test: the process in the trainer's role.

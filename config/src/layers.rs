@@ -6,8 +6,9 @@ use std::path::Path;
 use toml::{Table, Value};
 use toml_edit::TableLike;
 
+use crate::lengths::fit_lengths;
 use crate::presets::{hint, maneuver_names, names_in, nearest, preset};
-use crate::{ConfigError, RunConfig, Vehicle, tuned, validate};
+use crate::{ConfigError, Limit, RunConfig, Vehicle, tuned, validate, vehicles};
 
 /// A stack of layers: the topmost value of each key, with its origin.
 #[derive(Debug, Clone)]
@@ -18,6 +19,8 @@ pub struct Layers {
     base: String,
     /// The manoeuvre's own grids, by the name of the law.
     grids: Table,
+    /// What the user has to know of values that the vehicle's file has from another car.
+    borrowed: Option<String>,
 }
 
 /// A part of the configuration that a name selects: its values come from a preset with that name, or from a file.
@@ -77,11 +80,18 @@ impl Layers {
             Some(Value::Table(grids)) => grids,
             _ => Table::new(),
         };
+        // Of the vehicle that the manoeuvre names, not of another one that the user takes.
+        let of_vehicle = values.remove("vehicle");
         let base = format!("config/{}", maneuver.path);
-        let mut layers = Self { values, origins: BTreeMap::new(), base, grids };
+        let mut layers = Self { values, origins: BTreeMap::new(), base, grids, borrowed: None };
         for part in Part::ALL {
             let name = layers.text(part.selected_by()).unwrap_or_default();
             layers.load(part, &name, "config")?;
+            if let (Part::Vehicle, Some(Value::Table(above)), Some(Value::Table(below))) =
+                (part, &of_vehicle, layers.values.get_mut("vehicle"))
+            {
+                merge(below, above.clone());
+            }
         }
         Ok(layers)
     }
@@ -277,6 +287,11 @@ impl Layers {
         Ok(layers.resolve()?.vehicle)
     }
 
+    /// What the user has to know of values that the vehicle's file does not name and has from another car.
+    pub fn borrowed(&self) -> Option<&str> {
+        self.borrowed.as_deref()
+    }
+
     /// The value of a key, if it is a number.
     pub(crate) fn number(&self, key: &str) -> Option<f64> {
         let (head, rest) = key.split_once('.')?;
@@ -300,8 +315,16 @@ impl Layers {
     /// Loads the part with this name: a preset, or for vehicles and laws a file.
     fn load(&mut self, part: Part, name: &str, origin: &str) -> Result<(), ConfigError> {
         match part {
-            Part::Vehicle => self.load_vehicle(name, origin),
-            Part::Law => self.load_law(name, origin),
+            Part::Vehicle => {
+                self.load_vehicle(name, origin)?;
+                fit_lengths(&mut self.values);
+                Ok(())
+            }
+            Part::Law => {
+                self.load_law(name, origin)?;
+                fit_lengths(&mut self.values);
+                Ok(())
+            }
             Part::Tuner | Part::Objective => {
                 let (folder, below) = part.place();
                 let Some(preset) = preset(&format!("{folder}/{name}.toml")) else {
@@ -323,15 +346,28 @@ impl Layers {
     }
 
     fn load_vehicle(&mut self, name: &str, origin: &str) -> Result<(), ConfigError> {
-        let default = preset("vehicles/tesla_model_3.toml").expect("embedded");
-        let mut vehicle = parse_table(default.path, default.text)?;
-        if let Some(preset) = preset(&format!("vehicles/{name}.toml")) {
-            merge(&mut vehicle, parse_table(preset.path, preset.text)?);
+        self.borrowed = None;
+        if names_in("vehicles").any(|known| known == name) {
+            let vehicle = vehicles::of_preset(name)?;
             self.values.insert("vehicle".to_owned(), Value::Table(vehicle));
             return Ok(());
         }
         let text = read_part(Part::Vehicle, name, origin)?;
-        self.load_file(Part::Vehicle, vehicle, name, &text)
+        let file = parse_table(name, &text)?;
+        let base = file.get(vehicles::BASED_ON).and_then(Value::as_str);
+        let mut vehicle = vehicles::of_preset(base.unwrap_or(vehicles::DEFAULT))
+            .map_err(|error| ConfigError::new(name, vehicles::BASED_ON, error.problem))?;
+        // Known as a key, but it has done its work.
+        vehicle.insert(vehicles::BASED_ON.to_owned(), Value::String(vehicles::DEFAULT.to_owned()));
+        self.load_file(Part::Vehicle, vehicle, name, &text)?;
+        if let Some(Value::Table(vehicle)) = self.values.get_mut("vehicle") {
+            vehicle.remove(vehicles::BASED_ON);
+        }
+        let left_out = vehicles::left_out(&file);
+        if base.is_none() && !left_out.is_empty() {
+            self.borrowed = Some(vehicles::borrowed(name, &left_out));
+        }
+        Ok(())
     }
 
     fn load_law(&mut self, name: &str, origin: &str) -> Result<(), ConfigError> {
@@ -395,6 +431,7 @@ impl Layers {
             origins: BTreeMap::new(),
             base: name.to_owned(),
             grids: Table::new(),
+            borrowed: None,
         };
         below.add_document(name, text)?;
         self.values.insert(key.to_owned(), Value::Table(below.values));
@@ -430,7 +467,7 @@ impl Layers {
     }
 }
 
-fn parse_table(origin: &str, text: &str) -> Result<Table, ConfigError> {
+pub(crate) fn parse_table(origin: &str, text: &str) -> Result<Table, ConfigError> {
     text.parse::<Table>().map_err(|error| {
         let line = error.span().map_or(1, |span| line_of(text, span.start));
         ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
@@ -465,7 +502,7 @@ fn line_of(text: &str, offset: usize) -> usize {
     text.as_bytes()[..offset.min(text.len())].iter().filter(|byte| **byte == b'\n').count() + 1
 }
 
-fn merge(below: &mut Table, above: Table) {
+pub(crate) fn merge(below: &mut Table, above: Table) {
     for (key, value) in above {
         match (below.get_mut(&key), value) {
             (Some(Value::Table(below)), Value::Table(above)) => merge(below, above),
@@ -503,7 +540,7 @@ fn walk(
     Ok(())
 }
 
-fn find<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+pub(crate) fn find<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     match key.split_once('.') {
         None => table.get(key),
         Some((head, rest)) => find(table.get(head)?.as_table()?, rest),
@@ -525,7 +562,7 @@ fn take(table: &mut Table, key: &str) -> Option<Value> {
 }
 
 /// Collects every dotted key of a table that is a leaf.
-fn keys(table: &Table, above: &str, all: &mut Vec<String>) {
+pub(crate) fn keys(table: &Table, above: &str, all: &mut Vec<String>) {
     for (name, value) in table {
         let key = if above.is_empty() { name.clone() } else { format!("{above}.{name}") };
         match value {
@@ -552,6 +589,9 @@ fn unknown_key(known: &Table, key: &str, origin: String) -> ConfigError {
 fn check_kind(old: &Value, new: &Value, key: &str, origin: &str) -> Result<(), ConfigError> {
     let fits = match (old, new) {
         (Value::Float(_), Value::Integer(_)) => true,
+        // A limit that is a number, or derived from other keys.
+        (Value::String(auto), Value::Float(_) | Value::Integer(_)) => auto == Limit::AUTO,
+        (Value::Float(_), Value::String(auto)) => auto == Limit::AUTO,
         _ => old.type_str() == new.type_str(),
     };
     if fits {

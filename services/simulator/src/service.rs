@@ -52,6 +52,8 @@ struct Slot {
     ended: bool,
     /// In real time: the vehicle stops, because no command is recent enough.
     own_stop: bool,
+    /// In real time: the speed that the vehicle's stop commanded last, while it stops.
+    stop_mps: Option<f64>,
 }
 
 impl Simulator {
@@ -84,6 +86,7 @@ impl Simulator {
                 last: Odometry::default(),
                 ended: false,
                 own_stop: false,
+                stop_mps: None,
             });
         }
         for (slot, request) in self.slots.iter_mut().zip(requests) {
@@ -92,6 +95,7 @@ impl Simulator {
             slot.vehicle.reset(Pose { x_m, y_m, yaw_rad }, noise);
             slot.ended = false;
             slot.own_stop = false;
+            slot.stop_mps = None;
         }
         if let Some(clocked) = &mut self.clocked {
             clocked.start(header, now_ns());

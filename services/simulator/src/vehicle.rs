@@ -352,15 +352,92 @@ mod tests {
         assert!((radius_m - 2.875 / 0.3f64.tan()).abs() < 1e-9);
     }
 
+    /// What a vehicle that is configured like this reports after each of these commands.
+    fn drive(sets: &[&str], commands: impl Iterator<Item = (f64, f64)>) -> Vec<Observation> {
+        let sets = [&["vehicle.gear_engaged=true"], sets].concat();
+        let mut vehicle = vehicle(&sets);
+        let step = |(speed_mps, steering_rad)| {
+            vehicle.step(speed_mps, steering_rad);
+            vehicle.observe()
+        };
+        commands.map(step).collect()
+    }
+
+    #[test]
+    fn a_command_takes_as_long_as_its_dead_time_says_also_within_a_tick() {
+        // At a speed that no longer changes, the heading tells when the wheels turned.
+        let heading = |delay_s: f64| {
+            let delay = format!("vehicle.steering_delay_s={delay_s:?}");
+            let turn = |tick: u32| (2.0, if tick < 6000 { 0.0 } else { 0.2 });
+            let sets = ["vehicle.steering_rate_radps=100.0", &delay];
+            let seen = drive(&sets, (0..6200).map(turn));
+            let last = seen[seen.len() - 1];
+            (last.truth.yaw_rad, last.yaw_rate_radps)
+        };
+        let (at_once_rad, rate_radps) = heading(0.0);
+        for delay_s in [0.01, 0.013, 0.1, 0.1571, 1.0] {
+            let late_s = (at_once_rad - heading(delay_s).0) / rate_radps;
+            // The wheels turn within the first 2 ms of a part of a tick, which counts as a whole.
+            assert!((late_s - delay_s).abs() < 1e-6, "{delay_s}: {late_s}");
+        }
+    }
+
+    #[test]
+    fn the_gear_selector_sees_a_command_when_it_arrives() {
+        let late = |delay: &str| first_move(vehicle(&[delay]), |_| 2.0);
+        assert_eq!(late("vehicle.speed_delay_s=0.1"), Some(210));
+        assert_eq!(late("vehicle.steering_delay_s=0.1"), Some(200));
+    }
+
+    #[test]
+    fn a_car_that_is_not_aligned_drives_in_a_circle_until_it_is_told_otherwise() {
+        let sets = ["vehicle.steering_offset_rad=0.02", "vehicle.steering_gain=0.5"];
+        let straight = drive(&sets, (0..2000).map(|_| (2.0, 0.0)));
+        assert!(straight[0].steering_rad == 0.02 && straight[1999].yaw_rate_radps > 0.01);
+        let corrected = drive(&sets, (0..2000).map(|_| (2.0, -0.04)));
+        assert!(corrected[1999].yaw_rate_radps.abs() < 1e-12);
+    }
+
     proptest! {
+        #[test]
+        fn dead_times_of_whole_ticks_shift_a_drive_exactly(
+            commands in prop::collection::vec((-1.0..8.0f64, -0.5..0.5f64, 1usize..50), 1..12),
+            speed_ticks in 0usize..100, steering_ticks in 0usize..100, dynamic: bool,
+        ) {
+            let preset = ["tesla_model_3", "tesla_model_3_dynamic"][usize::from(dynamic)];
+            let preset = format!("vehicle_preset={preset}");
+            let chain = ["vehicle.steering_lag_s=0.1", "vehicle.steering_dead_band_rad=0.01"];
+            let commands: Vec<_> = commands
+                .into_iter()
+                .flat_map(|(speed, angle, ticks)| vec![(speed, angle); ticks])
+                .collect();
+            let late = |ticks: usize, tick: usize| tick.checked_sub(ticks).map(|tick| commands[tick]);
+            let delays = [
+                format!("vehicle.speed_delay_s={}", speed_ticks as f64 * 0.01),
+                format!("vehicle.steering_delay_s={}", steering_ticks as f64 * 0.01),
+            ];
+            let sets = [&preset, chain[0], chain[1], &delays[0], &delays[1]];
+            let delayed = drive(&sets, commands.iter().copied());
+            let by_hand = drive(&sets[..3], (0..commands.len()).map(|tick| {
+                let speed = late(speed_ticks, tick).map_or(0.0, |(speed, _)| speed);
+                (speed, late(steering_ticks, tick).map_or(0.0, |(_, angle)| angle))
+            }));
+            prop_assert_eq!(delayed, by_hand);
+        }
+
         #[test]
         fn the_state_stays_finite_and_within_limits(
             commands in prop::collection::vec((-20.0..20.0f64, -2.0..2.0f64), 1..400),
-            dynamic: bool,
+            dynamic: bool, delay_s in 0.0..0.1f64, lag_s in 0.0..0.2f64,
         ) {
             let preset = ["tesla_model_3", "tesla_model_3_dynamic"][usize::from(dynamic)];
-            let mut vehicle =
-                vehicle(&[&format!("vehicle_preset={preset}"), "vehicle.gear_engaged=true"]);
+            let mut vehicle = vehicle(&[
+                &format!("vehicle_preset={preset}"),
+                "vehicle.gear_engaged=true",
+                &format!("vehicle.steering_delay_s={delay_s:?}"),
+                &format!("vehicle.speed_delay_s={:?}", 0.7 * delay_s),
+                &format!("vehicle.steering_lag_s={lag_s:?}"),
+            ]);
             let mut steering = 0.0;
             for (speed, angle) in commands {
                 vehicle.step(speed, angle);

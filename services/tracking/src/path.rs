@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use config::{PathConfig, Piece};
+use nalgebra::Vector2;
 
 use crate::{Pose, wrap_angle};
 
@@ -165,6 +166,13 @@ impl Path {
         let mut from_m = 0.0;
         for piece in config.pieces.iter().flat_map(parts_of) {
             let (length_m, curvature, turn_rad) = match piece {
+                Piece::Cosine { length_m, offset_m } => {
+                    segments.extend(cosine(from_m, at, length_m, offset_m));
+                    let last = segments[segments.len() - 1];
+                    from_m = last.from_m + last.length_m;
+                    at = Pose { x_m: last.end.0, y_m: last.end.1, ..at };
+                    continue;
+                }
                 Piece::Straight { length_m } => (length_m, 0.0, 0.0),
                 Piece::Diagonal { length_m, offset_m } => {
                     (libm::hypot(length_m, offset_m), 0.0, libm::atan2(offset_m, length_m))
@@ -345,14 +353,6 @@ fn parts_of(piece: &Piece) -> Vec<Piece> {
 fn arcs_through(points: &[[f64; 2]]) -> Vec<Segment> {
     /// An arc turns by no more than this; at a sharp corner it would otherwise turn back on itself.
     const MOST_TURN_RAD: f64 = std::f64::consts::FRAC_PI_2;
-    /// An arc that turns by less is a straight: it leaves the chord by less than a millionth of its length, and
-    /// the centre of its circle would lie too far away for the arithmetic.
-    const LEAST_TURN_RAD: f64 = 1e-6;
-
-    let chord = |from: [f64; 2], to: [f64; 2]| {
-        let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
-        (libm::hypot(dx, dy), libm::atan2(dy, dx))
-    };
     let chords: Vec<_> = points.windows(2).map(|pair| chord(pair[0], pair[1])).collect();
     let count = chords.len();
     assert!(count > 0, "a resolved path has two points");
@@ -375,16 +375,65 @@ fn arcs_through(points: &[[f64; 2]]) -> Vec<Segment> {
         heading_rad += wrap_angle(chord_rad - heading_rad);
         let turn_rad = (0.5 * chord_m * (bends[index] + bends[index + 1]))
             .clamp(-MOST_TURN_RAD, MOST_TURN_RAD);
-        let [x_m, y_m] = points[index];
-        let (turn_rad, length_m, curvature) = if turn_rad.abs() < LEAST_TURN_RAD {
-            (0.0, chord_m, 0.0)
-        } else {
-            let curvature = 2.0 * libm::sin(0.5 * turn_rad) / chord_m;
-            (turn_rad, turn_rad / curvature, curvature)
-        };
-        let start = Pose { x_m, y_m, yaw_rad: heading_rad - 0.5 * turn_rad };
-        segments.push(Segment::new(from_m, length_m, start, curvature));
-        from_m += length_m;
+        let segment = arc_over(from_m, points[index], (chord_m, heading_rad), turn_rad);
+        from_m += segment.length_m;
+        segments.push(segment);
+    }
+    segments
+}
+
+/// Length and heading of the straight line between two points.
+fn chord(from: [f64; 2], to: [f64; 2]) -> (f64, f64) {
+    let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
+    (libm::hypot(dx, dy), libm::atan2(dy, dx))
+}
+
+/// The arc from a point over a chord (its length and heading) that turns by so much.
+fn arc_over(from_m: f64, [x_m, y_m]: [f64; 2], chord: (f64, f64), turn_rad: f64) -> Segment {
+    /// An arc that turns by less is a straight: it leaves the chord by less than a millionth of its length, and
+    /// the centre of its circle would lie too far away for the arithmetic.
+    const LEAST_TURN_RAD: f64 = 1e-6;
+
+    let (chord_m, chord_rad) = chord;
+    let (turn_rad, length_m, curvature) = if turn_rad.abs() < LEAST_TURN_RAD {
+        (0.0, chord_m, 0.0)
+    } else {
+        let curvature = 2.0 * libm::sin(0.5 * turn_rad) / chord_m;
+        (turn_rad, turn_rad / curvature, curvature)
+    };
+    let start = Pose { x_m, y_m, yaw_rad: chord_rad - 0.5 * turn_rad };
+    Segment::new(from_m, length_m, start, curvature)
+}
+
+/// Half a wave of a cosine from a pose to the lane `offset_m` to the left: short arcs between points of the curve, each
+/// of which turns by as much as the curve does.
+fn cosine(from_m: f64, start: Pose, length_m: f64, offset_m: f64) -> Vec<Segment> {
+    use std::f64::consts::PI;
+    /// At a metre's length the arcs leave the curve by less than a millimetre, and so do longer ones of a longer curve.
+    const ARC_M: f64 = 0.25;
+    const MOST_ARCS: f64 = 1000.0;
+
+    let arcs = (length_m / ARC_M).clamp(16.0, MOST_ARCS).ceil() as u32;
+    // Point and heading after a share of the curve's length.
+    let at = |index: u32| {
+        let phase_rad = PI * f64::from(index) / f64::from(arcs);
+        let ahead_m = length_m * f64::from(index) / f64::from(arcs);
+        let left_m = 0.5 * offset_m * (1.0 - libm::cos(phase_rad));
+        let slope = 0.5 * PI * offset_m / length_m * libm::sin(phase_rad);
+        let point = start.position() + start.rotation() * Vector2::new(ahead_m, left_m);
+        ([point.x, point.y], libm::atan(slope))
+    };
+    let mut from_m = from_m;
+    let mut heading_rad = start.yaw_rad;
+    let mut segments = Vec::with_capacity(arcs as usize);
+    for index in 0..arcs {
+        let ((here, before_rad), (there, behind_rad)) = (at(index), at(index + 1));
+        let (chord_m, chord_rad) = chord(here, there);
+        // Unwrapped, as the start's heading is.
+        heading_rad += wrap_angle(chord_rad - heading_rad);
+        let segment = arc_over(from_m, here, (chord_m, heading_rad), behind_rad - before_rad);
+        from_m += segment.length_m;
+        segments.push(segment);
     }
     segments
 }
@@ -429,6 +478,26 @@ mod tests {
         assert!((end.x_m - 8.5).abs() < 1e-12 && (end.y_m + 3.5).abs() < 1e-12);
         assert_eq!(end.yaw_rad, 0.0);
         assert!(path.at(2.0).yaw_rad < -0.5);
+    }
+
+    #[test]
+    fn a_cosine_is_a_cosine() {
+        use std::f64::consts::PI;
+        for (length_m, offset_m) in [(18.0, -3.5), (2.0, 0.5), (5000.0, 100.0)] {
+            let cosine = format!("{{kind='cosine',length_m={length_m:?},offset_m={offset_m:?}}}");
+            let path = path(&format!("[{{kind='straight',length_m=8.0}},{cosine},{{kind='straight',length_m=4.0}}]"));
+            let end = path.end();
+            assert!((end.x_m - 12.0 - length_m).abs() < 1e-9 && (end.y_m - offset_m).abs() < 1e-9);
+            assert_eq!(end.yaw_rad, 0.0);
+            for step in 0..=1000 {
+                let pose = path.at(8.0 + (path.length_m() - 12.0) * f64::from(step) / 1000.0);
+                let phase = PI * (pose.x_m - 8.0) / length_m;
+                let y_m = 0.5 * offset_m * (1.0 - libm::cos(phase));
+                let slope = 0.5 * PI * offset_m / length_m * libm::sin(phase);
+                assert!((pose.y_m - y_m).abs() < 1e-4 * length_m, "{length_m}: {pose:?} {y_m}");
+                assert!((pose.yaw_rad - libm::atan(slope)).abs() < 1e-3, "{length_m}: {pose:?}");
+            }
+        }
     }
 
     #[test]

@@ -149,8 +149,12 @@ impl Batch {
         for (index, slot) in slots.iter_mut().enumerate() {
             let command = fresh.filter(|_| !slot.ended).map(|(_, held)| held[index]);
             slot.own_stop = command.is_none() && !slot.ended;
-            let (speed_mps, steering_rad) =
-                command.unwrap_or(((slot.last.speed_mps - stop_step_mps).max(0.0), 0.0));
+            let (speed_mps, steering_rad) = command.unwrap_or_else(|| {
+                // On from its own last command: one that follows the speed would follow a car that is late to obey.
+                let from_mps = slot.stop_mps.unwrap_or(slot.last.speed_mps);
+                ((from_mps - stop_step_mps).max(0.0), 0.0)
+            });
+            slot.stop_mps = command.is_none().then_some(speed_mps);
             slot.vehicle.step(speed_mps, steering_rad);
         }
     }
