@@ -30,8 +30,8 @@ pub(crate) const SERVICES: Services = Services(&[
     },
     Service::new("supervisor", Some(Role::Supervisor), |_| Ok(supervisor::service::run()?)),
     Service::new("controller", Some(Role::Controller), |_| Ok(controller::service::run()?)),
-    Service::new("trainer", Some(Role::Trainer), |_| tuned(trainer::service::run())),
-    Service::new("schedule", Some(Role::Trainer), |_| tuned(trainer::schedule::run())),
+    Service::new("trainer", Some(Role::Trainer), |_| Ok(trainer::service::run()?)),
+    Service::new("schedule", Some(Role::Trainer), |_| Ok(trainer::schedule::run()?)),
     Service::new("reviewer", Some(Role::Trainer), |_| Ok(replayer::reviewer::run()?)),
     Service::new("recorder", Some(Role::Recorder), |_| Ok(recorder::service::run()?)),
     // Removes dead nodes from the bus, and ends.
@@ -47,13 +47,6 @@ pub(crate) const SERVICES: Services = Services(&[
     Service::new("stream-ring", None, |words| Ok(runtime::ring::run_over_streams(hop(words)?)?)),
     Service::new("calls", None, |_| Ok(time_calls()?)),
 ]);
-
-fn tuned(ended: anyhow::Result<()>) -> Result<(), Failure> {
-    ended.map_err(|error| match error.downcast::<trainer::NeedsScales>() {
-        Ok(mistake) => Failure::User(mistake.to_string()),
-        Err(error) => Failure::Other(error),
-    })
-}
 
 fn drive_ros2() -> Result<(), Failure> {
     ros2_vehicle::run().map_err(|error| match error.downcast::<ros2_vehicle::Refused>() {

@@ -125,7 +125,8 @@ fn scales_from_the_simulator_s_grid_are_refused_for_another_vehicle() {
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(64), "{command}: {said}");
         assert!(said.contains("another vehicle drives here") && said.contains("mse_scale"), "{said}");
-        let _ = fs::remove_dir_all(sandbox.path("out"));
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(!sandbox.path("out").exists());
     }
     let alone = sandbox.run(&["train", "lane_change", "--deterministic"]);
     assert_eq!(alone.status.code(), Some(64));

@@ -335,6 +335,9 @@ impl Layers {
                 let mut values = parse_table(preset.path, preset.text)?;
                 // Settings of another tuner or objective have no meaning for this one.
                 values.entry("settings").or_insert_with(|| Value::Table(Table::new()));
+                if part == Part::Tuner {
+                    values.entry("ranges").or_insert_with(|| Value::Table(Table::new()));
+                }
                 let table = self.values.entry(below).or_insert_with(|| Value::Table(Table::new()));
                 if let Value::Table(table) = table {
                     table.extend(values);
@@ -746,5 +749,19 @@ mod tests {
         assert!(message(Layers::maneuver("lanechange")).contains("did you mean lane_change?"));
         assert!(message(Layers::maneuver("xyz")).contains("lane_change, roundabout"));
         assert!(message(Layers::maneuver("path")).contains("there are circuit"));
+    }
+
+    #[test]
+    fn a_tuner_s_setting_has_a_range_and_keeps_to_it() {
+        let mut config = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+        let problem = |config: &RunConfig| crate::validate::validate(config).unwrap_err();
+        config.tuner.settings.0.insert("population".to_owned(), Value::Integer(1));
+        let (key, why) = problem(&config);
+        assert!(key == "tuner.ranges.population" && why.contains("is missing"), "{key} {why}");
+        config.tuner.ranges.insert("population".to_owned(), [2.0, 256.0]);
+        let (key, why) = problem(&config);
+        assert_eq!((&*key, &*why), ("tuner.settings.population", "is 1, but must lie in [2, 256]"));
+        config.tuner.settings.0.insert("population".to_owned(), Value::Float(2.0));
+        crate::validate::validate(&config).unwrap();
     }
 }

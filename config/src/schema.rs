@@ -157,6 +157,19 @@ impl RunConfig {
         self.maneuver == crate::presets::OWN_PATH
     }
 
+    /// The key of a scale of the objective that is 0, which stands for the least value in the grid; `None` if the
+    /// objective needs no grid.
+    pub fn scale_from_grid(&self) -> Option<String> {
+        let settings = &self.objective.settings;
+        let is_from_grid = |key: &&String| {
+            let Some(name) = key.strip_suffix("_scale") else { return false };
+            let weight = format!("{name}_weight");
+            let counts = !settings.0.contains_key(&weight) || settings.number(&weight) > 0.0;
+            counts && settings.number(key) == 0.0
+        };
+        settings.0.keys().find(is_from_grid).map(|key| format!("objective.settings.{key}"))
+    }
+
     /// Names of the manoeuvres that the path needs, each once, in the order of their first zones.
     pub fn maneuvers_due(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
@@ -251,6 +264,9 @@ pub struct TunerConfig {
     /// Its own settings.
     #[serde(default)]
     pub settings: Settings,
+    /// The least and the largest value of each setting that is a number.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub ranges: BTreeMap<String, [f64; 2]>,
 }
 
 /// When a set is ranked among all sets of the grid.

@@ -1,6 +1,6 @@
 //! Checks ranges, and values that must fit together.
 
-use crate::{Advance, Axis, Grid, Limit, Piece, RunConfig, Scale, Vehicle, VehicleModel, law, points};
+use crate::{Advance, Axis, Grid, Limit, Piece, RunConfig, Scale, TunerConfig, Vehicle, VehicleModel, law, points};
 
 /// The largest fleet that one message carries.
 pub(crate) const MAX_FLEET: u32 = 256;
@@ -194,6 +194,7 @@ fn presets(config: &RunConfig) -> Result<(), Problem> {
         }
     }
     law::validate(&config.law)?;
+    tuner(&config.tuner)?;
     within("objective.cap_wheelbases", config.objective.cap_wheelbases, 0.0, 1000.0)
 }
 
@@ -203,19 +204,26 @@ fn scales(config: &RunConfig) -> Result<(), Problem> {
     if ticks <= u128::from(config.ranking.max_ticks) {
         return Ok(());
     }
-    let settings = &config.objective.settings;
-    for key in settings.0.keys() {
-        let Some(name) = key.strip_suffix("_scale") else { continue };
-        let weight = format!("{name}_weight");
-        let counts = !settings.0.contains_key(&weight) || settings.number(&weight) > 0.0;
-        if counts && settings.number(key) == 0.0 {
-            let problem = format!(
-                "is 0, which stands for the least value in the grid, but the grid takes {ticks} ticks and is driven \
-                 only up to {} (ranking.max_ticks); give a scale, or raise ranking.max_ticks",
-                config.ranking.max_ticks
-            );
-            return Err((format!("objective.settings.{key}"), problem));
+    let Some(key) = config.scale_from_grid() else { return Ok(()) };
+    let problem = format!(
+        "is 0, which stands for the least value in the grid, but the grid takes {ticks} ticks and is driven only up to {} \
+         (ranking.max_ticks); give a scale, or raise ranking.max_ticks",
+        config.ranking.max_ticks
+    );
+    Err((key, problem))
+}
+
+/// Every setting of a tuner that is a number has a range in the tuner's file.
+fn tuner(tuner: &TunerConfig) -> Result<(), Problem> {
+    for (name, value) in &tuner.settings.0 {
+        if !matches!(value, toml::Value::Float(_) | toml::Value::Integer(_)) {
+            continue;
         }
+        let Some([low, high]) = tuner.ranges.get(name) else {
+            let problem = format!("is missing: the least and the largest value of the setting {name}");
+            return Err((format!("tuner.ranges.{name}"), problem));
+        };
+        within(&format!("tuner.settings.{name}"), tuner.settings.number(name), *low, *high)?;
     }
     Ok(())
 }

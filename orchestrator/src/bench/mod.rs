@@ -12,7 +12,7 @@ use self::pipelines::{pipeline, pipelines, waiting};
 use self::rings::{Transport, calls, ring};
 use crate::cli::BenchArgs;
 use crate::words::Failure;
-use crate::words::tables::table_of;
+use crate::words::tables::{digits, table_of};
 use crate::words::terminal::{say, tell};
 
 /// The manoeuvre that all of them drive, plain calls as well: a tick costs more where the path is curved. Its drives
@@ -236,15 +236,17 @@ fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {
         let fleet = subject.fleet();
         let ring = of(Subject::Ring(Transport::SharedMemory, fleet));
         let each_ns = timing.tick_ns / fleet as f64;
-        let us = |ns: f64| known(ns).map_or("–".to_owned(), |ns| format!("{:.2}", ns / 1e3));
+        // With --only, what a row is compared with may not have been measured.
+        let shown = |number: f64, count| known(number).map_or("–".to_owned(), |it| digits(it, count));
+        let us = |ns: f64| shown(ns / 1e3, 2);
         table.add_row([
             subject.name(),
             us(timing.tick_ns),
             us(timing.p50_ns),
             us(timing.p99_ns),
-            format!("{:.2}", timing.tick_ns / ring),
-            format!("{each_ns:.0}"),
-            format!("{:.1}", each_ns / calls),
+            shown(timing.tick_ns / ring, 2),
+            shown(each_ns, 0),
+            shown(each_ns / calls, 1),
         ]);
     }
     say!("{table}");
@@ -259,17 +261,16 @@ fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {
     if let (Some(ring), Some(one)) = (ring, one) {
         say!("fleet of 1: the median tick is {:.2} of the bare ring's", one / ring);
     }
-    if let (Some(ring), Some(sixteen)) = (ring, median(Subject::Pipeline(16))) {
+    if let (Some(ring), Some(sixteen), Some(calls)) =
+        (ring, median(Subject::Pipeline(16)), known(calls))
+    {
         say!(
             "fleet of 16: a vehicle and tick beyond plain calls costs {:.2} of a sixteenth of the bare ring's median tick",
             (sixteen / 16.0 - calls) / (ring / 16.0),
         );
     }
-    if rows.iter().any(|(subject, _)| *subject == Subject::Pipeline(64)) {
-        say!(
-            "fleet of 64: a vehicle and tick costs {:.2} × plain calls",
-            of(Subject::Pipeline(64)) / 64.0 / calls,
-        );
+    if let Some(ratio) = known(of(Subject::Pipeline(64)) / 64.0 / calls) {
+        say!("fleet of 64: a vehicle and tick costs {ratio:.2} × plain calls");
     }
     for count in [1, 3, 6] {
         if let (Some(one), Some(watched)) = (one, median(Subject::Observers(count))) {
@@ -278,8 +279,9 @@ fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {
     }
     for (subject, timing) in rows {
         if let Subject::Pipelines(count, fleet) = *subject {
-            let gain = of(Subject::Pipeline(fleet)) / timing.tick_ns;
-            say!("{count} pipelines with fleets of {fleet}: {gain:.2} × one");
+            if let Some(gain) = known(of(Subject::Pipeline(fleet)) / timing.tick_ns) {
+                say!("{count} pipelines with fleets of {fleet}: {gain:.2} × one");
+            }
         }
     }
     Ok(())

@@ -5,6 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use config::RunConfig;
 use config::launch::Launch;
 use config::open_regular;
 use runtime::{limits, log_file, waiting};
@@ -34,6 +35,18 @@ pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {
         }
     }
     Ok(())
+}
+
+/// Checks that the objective needs no drives of the grid that only our simulator could make before the first drive.
+pub(crate) fn check_scales(config: &RunConfig, launch: &Launch) -> Result<(), Failure> {
+    let (Some(key), Some(role)) = (config.scale_from_grid(), launch.first_of_ring_not_ours()) else {
+        return Ok(());
+    };
+    let name = role.name();
+    Err(Failure::User(format!(
+        "{key}: is 0, which stands for the least value in the grid of our own vehicle, controller and supervisor, but \
+         another {name} drives here; give a scale (`pathtune grid` with the same {name} prints the least values)"
+    )))
 }
 
 /// Checks whether first-in-first-out scheduling and locked memory will be allowed, and prints a warning if not. On a

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use config::launch::{Launch, Role};
-use config::{Layers, RunConfig, SweepPlan, read_small};
+use config::{Layers, RunConfig, SweepKind, SweepPlan, read_small};
 use runtime::Wait;
 use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
@@ -184,6 +184,10 @@ pub(crate) fn prepare(
     // Up to here a signal may simply end this process; from here on the run ends in order.
     let interrupted = Interrupts::new()?;
     preflight::check_commands(&launch)?;
+    // A grid has drives of its own for the scales.
+    if sweep.as_ref().is_none_or(|plan| plan.kind != SweepKind::Grid) {
+        preflight::check_scales(&config, &launch)?;
+    }
     sweep_dead_runs();
     preflight::check_resources(config.fleet().max(config.learners()))?;
     let folder = match folder {

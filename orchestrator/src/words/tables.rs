@@ -426,6 +426,13 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         "{} s driven; it ended {reason}; all figures are of the {poses} poses",
         digits(it.driven_s, 1)
     );
+    if let Some(it) = it.fastest {
+        say!(
+            "at its fastest {} m/s, where the path says {} m/s",
+            digits(it.speed_mps, 2),
+            digits(it.path_speed_mps, 2)
+        );
+    }
     for (what, reasons) in [("stopped", &it.stopped_for), ("slowed down", &it.slowed_for)] {
         if !reasons.is_empty() {
             say!("the gate {what} the vehicle: {}", in_words(reasons));

@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use config::launch::Launch;
 use config::{MAX_PARAMETERS, Parameters, RunConfig};
 use outcome::{Interval, Measures, Spread};
-use tracking::{DriveRecord, Objective};
+use tracking::DriveRecord;
 
 use crate::Training;
 use crate::statistics::Estimate;
@@ -30,30 +30,16 @@ pub(crate) enum Driver {
     Vehicle { repeats: bool },
 }
 
-/// The objective cannot judge drives of a vehicle that is not our simulator.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "objective.settings: scales of 0 come from drives of the whole grid with our simulator, but another {0} drives here; \
-     set each scale, as in --set objective.settings.mse_scale=0.1 (`pathtune grid` with the same --replace prints the \
-     least values)"
-)]
-pub struct NeedsScales(&'static str);
-
 impl Driver {
     /// What makes the drives of a run, by the launch file in its folder.
     ///
     /// # Errors
-    /// If the file cannot be read, or [`NeedsScales`].
+    /// If the file cannot be read.
     pub(crate) fn of_run(folder: &Path, config: &RunConfig) -> Result<Self> {
         let path = folder.join(LAUNCH_FILE);
         let text =
             std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
         let launch = Launch::parse(LAUNCH_FILE, &text)?;
-        if let Some(other) = launch.first_of_ring_not_ours()
-            && Objective::new(config).needs_grid()
-        {
-            return Err(NeedsScales(other.name()).into());
-        }
         if launch.ring_is_ours() && !config.run.realtime {
             return Ok(Self::Simulator);
         }

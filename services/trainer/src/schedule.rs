@@ -17,10 +17,9 @@ use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 
 use crate::grid::GridSweep;
-use crate::own_drives::Driver;
 use crate::result::decided;
 use crate::service::write_outcome;
-use crate::single::SingleDrive;
+use crate::single::{SingleDrive, fastest};
 use crate::sweeping::{Place, Progress, Sweeping};
 use crate::validation::Validation;
 use crate::wire::Driven;
@@ -35,10 +34,6 @@ pub fn run() -> Result<()> {
     let text =
         std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
     let plan = SweepPlan::parse(&text)?;
-    // A grid has drives of its own for the objective's scales.
-    if plan.kind != SweepKind::Grid {
-        Driver::of_run(&attachment.folder, &config)?;
-    }
     let bus = Rc::new(bus);
     let mut schedule = Schedule::new(&bus, config, &plan, &attachment)?;
     serve(&attachment, &bus, WakeRole::Trainer, &mut schedule)?;
@@ -288,6 +283,7 @@ impl Schedule {
             Subject::Drive(drive) => driven[0].map(|driven| {
                 let switches = self.switches.remove(&0).unwrap_or_default();
                 let mut result = drive.result(&driven, switches);
+                result.fastest = fastest(&self.config, self.sweeping.last_rows());
                 result.drives_recorded = recorded;
                 result.drives_lacking = lacking;
                 Outcome::Drive(result)
