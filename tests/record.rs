@@ -335,7 +335,11 @@ fn by_the_clock_a_recording_has_the_wall_clock_and_says_what_it_lacks() {
     let read = Recording::read(&recording).unwrap();
     let result = sandbox.result("out");
     let facts = &result["run"]["recording"];
-    assert_eq!((&facts["file"], &facts["missed"]), (&"recording.mcap".into(), &0.into()), "{facts}");
+    assert_eq!(
+        (&facts["file"], &facts["missed"]),
+        (&"recording.mcap".into(), &0.into()),
+        "{facts}"
+    );
     for topic in TICK_TOPICS {
         assert_eq!(facts["topics"][topic]["messages"], read.of(topic).count(), "{topic}");
     }
@@ -347,7 +351,10 @@ fn by_the_clock_a_recording_has_the_wall_clock_and_says_what_it_lacks() {
 
     // A gap does not cost the CSV, which has every tick that all processes sent.
     let lacking = result["drives_lacking"]["drive"].as_u64().unwrap();
-    assert!(lacking >= 5 && told.contains(&format!("drives/drive.csv lacks {lacking} ticks")), "{told}");
+    assert!(
+        lacking >= 5 && told.contains(&format!("drives/drive.csv lacks {lacking} ticks")),
+        "{told}"
+    );
     let mut csv = csv::Reader::from_path(sandbox.path("out/drives/drive.csv")).unwrap();
     let ticks: Vec<u64> = csv.records().map(|row| row.unwrap()[0].parse().unwrap()).collect();
     assert!(ticks.len() > 300 && ticks.windows(2).all(|pair| pair[0] < pair[1]));

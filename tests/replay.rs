@@ -164,7 +164,9 @@ fn a_recording_with_a_flipped_bit_is_refused_or_the_same() {
         let (code, out, err) = told(&output);
         match code {
             Some(0) => same += usize::from(out.starts_with("no difference: 500 ticks")),
-            code => assert!(code == Some(64) && err.trim_end().lines().count() == 1, "{bit}: {err}"),
+            code => {
+                assert!(code == Some(64) && err.trim_end().lines().count() == 1, "{bit}: {err}")
+            }
         }
     }
     assert!(same < flips / 2, "{same}");

@@ -49,10 +49,16 @@ impl RecordingFacts {
         };
         let mut lines = Vec::new();
         if !self.from_first_tick {
-            lines.push(format!("the recording goes on in {}; what had not been written is lost", self.file));
+            lines.push(format!(
+                "the recording goes on in {}; what had not been written is lost",
+                self.file
+            ));
         }
         if self.missed > 0 {
-            lines.push(format!("the recording has gaps; messages that are missing: {}", list(|it| it.missed)));
+            lines.push(format!(
+                "the recording has gaps; messages that are missing: {}",
+                list(|it| it.missed)
+            ));
         }
         if self.unsent > 0 {
             lines.push(format!(

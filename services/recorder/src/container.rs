@@ -19,8 +19,7 @@ const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 const RECORD_LIMIT: u64 = 64 << 20;
 /// The largest size of a chunk when it is unpacked.
 const CHUNK_LIMIT: u64 = 64 << 20;
-/// How much may be unpacked from a byte of the file, over the whole file: drives shrink to a third, and those of a standing
-/// car to a fiftieth.
+/// How much may be unpacked from a byte of the file, over the whole file: far more than drives of a car that stands.
 const UNPACKED_PER_BYTE: u64 = 1000;
 /// How much may be unpacked from the smallest file.
 const UNPACKED_AT_LEAST: u64 = 64 << 20;

@@ -94,11 +94,12 @@ impl Recording {
         if let Some(why) = refused {
             anyhow::bail!(why);
         }
-        recording.cut_off = match end.with_context(|| format!("failed to read {}", path.display()))? {
-            End::Whole => None,
-            End::CutOff(what) => Some(format!("was cut off: {what}")),
-            End::Damaged(where_and_why) => Some(format!("is damaged {where_and_why}")),
-        };
+        recording.cut_off =
+            match end.with_context(|| format!("failed to read {}", path.display()))? {
+                End::Whole => None,
+                End::CutOff(what) => Some(format!("was cut off: {what}")),
+                End::Damaged(where_and_why) => Some(format!("is damaged {where_and_why}")),
+            };
         ensure!(
             !recording.beginning.is_empty(),
             "{} is not a recording by pathtune",

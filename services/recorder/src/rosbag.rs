@@ -1,8 +1,9 @@
 //! What rosbag2's storage plugin adds to an MCAP file, and looks for when it reads one.
 //!
 //! The plugin takes types, counts and times from the file's summary. From the record `rosbag2` it takes the version, which
-//! decides how it reads the quality of service of the channels: in version 8 the policies are numbers, which Humble,
-//! Jazzy and later all understand; a record without one counts as version 9, where they are words, which Humble does not.
+//! decides how it reads the quality of service of the channels. In version 8 the policies are numbers, which every
+//! version of the plugin understands; without such a record the newer ones expect words, which the older ones do not
+//! understand.
 
 use std::collections::BTreeMap;
 

@@ -351,8 +351,7 @@ impl Reel {
 /// Whether the drives of a request are paced by the clock.
 fn is_by_the_clock(mut request: &[u8]) -> bool {
     let _ = BatchHeader::take(&mut request);
-    DriveRequest::take(&mut request)
-        .is_some_and(|first| has(first.flags, DriveRequest::REAL_TIME))
+    DriveRequest::take(&mut request).is_some_and(|first| has(first.flags, DriveRequest::REAL_TIME))
 }
 
 /// Opens the file of the settings, which must be new.

@@ -77,7 +77,8 @@ impl Timeline {
         if self.starts.len() > REMEMBERED {
             self.starts.pop_first();
         }
-        let stamp_ns = start_ns.saturating_add(tick.saturating_mul(self.tick_ns)).min(i64::MAX as u64);
+        let stamp_ns =
+            start_ns.saturating_add(tick.saturating_mul(self.tick_ns)).min(i64::MAX as u64);
         self.end_ns = self.end_ns.max(stamp_ns + self.tick_ns);
         stamp_ns
     }
@@ -111,9 +112,7 @@ mod tests {
         let apart_ns = since_1970.as_nanos().abs_diff(u128::from(wall.unix_ns(now_ns())));
         assert!(apart_ns < 1_000_000_000, "{apart_ns}");
         let mut timeline = Timeline::new(0.01, WallClock { origin_ns: 1_000 }, true);
-        let mut stamp = |tick, sent_ns| {
-            timeline.stamp(Place { tick, sent_ns, ..Place::default() })
-        };
+        let mut stamp = |tick, sent_ns| timeline.stamp(Place { tick, sent_ns, ..Place::default() });
         assert_eq!((stamp(Some(3), 70), stamp(None, 71)), (1_070, 1_071));
         assert_eq!(stamp(None, u64::MAX), i64::MAX as u64);
     }

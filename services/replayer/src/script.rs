@@ -7,14 +7,17 @@ use anyhow::{Context, Result, bail, ensure};
 use config::NamedParameters;
 use ipc_types::layout::Bytes;
 use ipc_types::{
-    Attempt, BatchHeader, Command, DriveRequest, GainSwitch, Message, Odometry, RawCommand,
-    TickHeader,
+    Attempt, BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, Message, Odometry,
+    RawCommand, TickHeader,
 };
 use recorder::reading::{Kept, Recording};
 use serde::{Deserialize, Serialize};
 
 /// The topics that are compared.
 pub(crate) const COMPARED: [&str; 2] = [RawCommand::TOPIC.name, Command::TOPIC.name];
+/// The topics between ticks that say what was driven.
+const BETWEEN: [&str; 3] =
+    [DriveRequest::TOPIC.name, DriveReport::TOPIC.name, GainSwitch::TOPIC.name];
 
 /// The order for the processes of a replay: a file in the run's folder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -68,11 +71,16 @@ pub fn check(file: &Path) -> Result<String> {
     let last = parts.next_back();
     let last = last.as_ref().unwrap_or(&recording);
     let Some(end) = &last.end else { bail!(why("was cut off: its end is missing")) };
-    let is_zero = |key: &str| end.get(key).is_some_and(|count| count == "0");
-    ensure!(is_zero("gaps"), why("has gaps: missing messages cannot be compared"));
+    let none = |what: &str| {
+        let mut topics = COMPARED.iter().chain(&BETWEEN).chain([&Odometry::TOPIC.name]);
+        topics.all(|topic| end.get(&format!("{what}.{topic}")).is_some_and(|count| count == "0"))
+    };
+    ensure!(none("missed"), why("has gaps: missing messages cannot be compared"));
     ensure!(
-        is_zero("unsent"),
-        why("was driven by the clock, and some ticks had no messages: only a drive without such ticks can be compared")
+        none("unsent"),
+        why(
+            "was driven by the clock, and some ticks had no messages: it cannot be compared tick by tick"
+        )
     );
     let config = recording.attachments.get("config.toml");
     let Some(config) = config else { bail!(why("holds no configuration")) };
@@ -150,7 +158,7 @@ pub(crate) fn batches(file: &Path, topics: &[&'static str], max_len: usize) -> R
         let per_tick = topics.iter().find(|topic| **topic == name);
         let (attempt, tick) = match (per_tick, name) {
             (Some(_), _) => TickHeader::take(&mut bytes).map(|it| (it.attempt, it.tick)),
-            (None, "drive_request" | "drive_report" | "gains") => {
+            (None, name) if BETWEEN.contains(&name) => {
                 BatchHeader::take(&mut bytes).map(|it| (it.attempt, 0))
             }
             _ => return Ok(()),

@@ -203,11 +203,7 @@ pub(super) fn odometry(
 }
 
 /// Where a frame stands in that of the map.
-pub(super) fn transform(
-    stamp_ns: u64,
-    child_frame_id: String,
-    pose: WirePose,
-) -> TransformStamped {
+pub(super) fn transform(stamp_ns: u64, child_frame_id: String, pose: WirePose) -> TransformStamped {
     TransformStamped {
         header: header(stamp_ns),
         child_frame_id,

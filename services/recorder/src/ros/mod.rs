@@ -23,11 +23,11 @@ use ipc_types::{
 };
 use tracking::Path;
 
-pub(crate) use messages::{ENCAPSULATION, Kind, RosMessage};
 use messages::{
     Ackermann, DiagnosticArray, DiagnosticStatus, KeyValue, OK, Vector3, Vector3Stamped, WARN, cdr,
     header, odometry, path, transform,
 };
+pub(crate) use messages::{ENCAPSULATION, Kind, RosMessage};
 
 /// How many slots of a fleet are written as ROS messages; our own channels contain all slots.
 pub const SLOTS: usize = 8;
