@@ -170,10 +170,10 @@ impl Comparer {
                 same(raw.yaw_rate_radps, wanted.yaw_rate_radps)?;
                 same(raw.steering_rad, wanted.steering_rad)?;
                 let passed = &commands[tick][slot];
-                // At the last tick the drive has ended, and the command is to stand.
                 let ended = passed.flags & Command::ENDED != 0;
                 ensure!(ended == (tick + 1 == records.len()));
-                same(passed.speed_mps, if ended { 0.0 } else { record.passed.speed_mps })?;
+                same(passed.speed_mps, record.passed.speed_mps)?;
+                same(passed.yaw_rate_radps, record.passed.yaw_rate_radps)?;
                 same(passed.steering_rad, record.passed.steering_rad)?;
             }
             ensure!((report.trace, report.ticks) == (ended.trace, ended.ticks));

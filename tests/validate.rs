@@ -171,9 +171,7 @@ fn recorded_drives_equal_plain_calls_bit_for_bit() {
                 tick.is("steering_rad", seen.steering_rad);
                 tick.is("command_yaw_rate_radps", record.passed.yaw_rate_radps);
                 tick.is("command_steering_rad", record.passed.steering_rad);
-                if record.decision.ended.is_none() {
-                    tick.is("command_speed_mps", record.passed.speed_mps);
-                }
+                tick.is("command_speed_mps", record.passed.speed_mps);
                 assert_eq!(tick.number("zone") as usize, record.zone);
                 // The reference is told by the error that the law read, and so only up to rounding.
                 let error = tracking_error(tick.pose("reference_"), seen.measured);

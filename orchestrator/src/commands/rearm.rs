@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use ipc_types::{Attempt, BatchHeader, Rearm, Safety};
+use ipc_types::{Attempt, BatchHeader, Rearm, Safety, has};
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
 
@@ -29,6 +29,7 @@ pub(crate) fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failu
         Ok(states.receive_newest()?.map(|message| message.items().to_vec()))
     };
     let mut meant: Option<Vec<u32>> = None;
+    let mut reasons = 0;
     loop {
         if let Some(states) = newest()? {
             match &meant {
@@ -38,6 +39,8 @@ pub(crate) fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failu
                         let state = states.get(**slot as usize).map(|it| it.state);
                         matches!(state, Some(Safety::STOPPING | Safety::STOPPED))
                     };
+                    let latched = slots.iter().filter(is_latched);
+                    reasons = latched.fold(0, |all, slot| all | states[*slot as usize].reasons);
                     if !slots.iter().any(|slot| is_latched(&slot)) {
                         for slot in slots {
                             say!("vehicle {slot} is rearmed");
@@ -59,6 +62,10 @@ pub(crate) fn rearm(run: Option<&str>, vehicle: Option<u32>) -> Result<(), Failu
             let why = match meant {
                 None => {
                     "the run's supervisor does not report a state: only vehicles that drive in real time are stopped and rearmed"
+                }
+                Some(_) if has(reasons, Safety::NO_LEG) => {
+                    "the vehicle may not drive yet: no leg of the path within its reach fits its heading; bring it \
+                     nearer to the path, and turn it the way that the path goes"
                 }
                 Some(_) => {
                     "the vehicle may not drive yet: it still moves, or its odometry is missing or implausible; see \

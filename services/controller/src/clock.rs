@@ -1,7 +1,7 @@
 //! The clock of a vehicle's reference: how many ticks the reference has run.
 //!
-//! In lockstep it is the tick. Where the vehicle paces by the clock, it also
-//! - waits while the gate slows down or stops the vehicle;
+//! It runs at the rate that the gate sets: it waits for a vehicle that does not follow, and while the gate slows down or
+//! stops the vehicle. Where the vehicle paces by the clock, it also
 //! - starts again from rest, when a stopped vehicle is allowed to drive on;
 //! - goes on where its predecessor was, when a controller joins a drive that has begun.
 //!
@@ -37,16 +37,32 @@ pub enum Moved {
     JoinedAnew,
     /// A stopped vehicle drives on: the reference starts from rest, where the vehicle is.
     Restarted {
-        /// Whole ticks that the clock had run before.
-        after_ticks: u64,
+        /// Ticks that the clock had run before.
+        after_ticks: f64,
     },
+}
+
+/// How far a reference's clock has run.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Phase {
+    /// Ticks since it last started from rest.
+    pub ticks: f64,
+    /// Ticks of the vehicle, since the start of the drive or since it was joined, for which it has waited for a vehicle
+    /// that was not stopped.
+    pub waited_ticks: f64,
+}
+
+impl From<u64> for Phase {
+    /// The phase of a clock that has run with the vehicle's ticks.
+    fn from(ticks: u64) -> Self {
+        Self { ticks: ticks as f64, waited_ticks: 0.0 }
+    }
 }
 
 /// The clock of a vehicle's reference.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReferenceClock {
-    /// Ticks that it has run since it last started from rest.
-    phase_ticks: f64,
+    phase: Phase,
     /// The tick at which it had run that long; `None` before the first.
     at_tick: Option<u64>,
     /// How many ticks it runs in a tick of the vehicle.
@@ -59,7 +75,8 @@ pub struct ReferenceClock {
 
 impl Default for ReferenceClock {
     fn default() -> Self {
-        Self { phase_ticks: 0.0, at_tick: None, rate: 1.0, is_frozen: false, held_ticks: None }
+        let phase = Phase::default();
+        Self { phase, at_tick: None, rate: 1.0, is_frozen: false, held_ticks: None }
     }
 }
 
@@ -76,14 +93,9 @@ impl ReferenceClock {
         Self { held_ticks: Some(Self::HELD_TICKS), ..Self::default() }
     }
 
-    /// Ticks that it has run since it last started from rest.
-    pub fn phase_ticks(&self) -> f64 {
-        self.phase_ticks
-    }
-
-    /// The same in whole ticks: what a drive counts.
-    pub fn whole_ticks(&self) -> u64 {
-        self.phase_ticks as u64
+    /// How far it has run.
+    pub fn phase(&self) -> Phase {
+        self.phase
     }
 
     /// Whether the vehicle is being stopped, or stands, according to the gate's last report.
@@ -96,9 +108,10 @@ impl ReferenceClock {
         self.held_ticks.is_some()
     }
 
-    /// In lockstep: the clock is the tick.
-    pub fn set(&mut self, tick: u64) {
-        self.phase_ticks = tick as f64;
+    /// In lockstep: runs on to `tick`, at the rate that the gate has set since the tick before, if it has set one. No
+    /// vehicle is rearmed there, and no drive is joined.
+    pub fn follow(&mut self, tick: u64, rate: Option<f64>) {
+        self.run_to(tick, rate);
     }
 
     /// By the vehicle's clock: runs on to `tick`, with the gate's report since the tick before, if there is
@@ -109,7 +122,7 @@ impl ReferenceClock {
             None => self.hear(tick, report),
         };
         if moved != Moved::Held {
-            self.run_to(tick, report);
+            self.run_to(tick, report.map(|it| it.clock_rate));
         }
         moved
     }
@@ -121,7 +134,7 @@ impl ReferenceClock {
             Some((report, (origin_m, phase_ticks))) if origin_m.is_finite() => {
                 self.held_ticks = None;
                 self.is_frozen = report.is_stopped;
-                self.phase_ticks = finite_or_zero(phase_ticks).clamp(0.0, Self::LONGEST_TICKS);
+                self.phase.ticks = finite_or_zero(phase_ticks).clamp(0.0, Self::LONGEST_TICKS);
                 self.at_tick = Some(report.tick);
                 Moved::Joined { origin_m }
             }
@@ -145,16 +158,19 @@ impl ReferenceClock {
         if !was_frozen || report.is_stopped {
             return Moved::On;
         }
-        let after_ticks = self.whole_ticks();
-        (self.phase_ticks, self.at_tick) = (0.0, Some(tick));
+        let after_ticks = self.phase.ticks;
+        (self.phase.ticks, self.at_tick) = (0.0, Some(tick));
         Moved::Restarted { after_ticks }
     }
 
-    fn run_to(&mut self, tick: u64, report: Option<GateReport>) {
+    fn run_to(&mut self, tick: u64, rate: Option<f64>) {
         // It never runs faster than the vehicle's ticks, whatever another process reports.
-        self.rate = report.map_or(self.rate, |it| finite_or_zero(it.clock_rate).clamp(0.0, 1.0));
-        let since = self.at_tick.map_or(tick, |at| tick.saturating_sub(at));
-        self.phase_ticks += self.rate * since as f64;
+        self.rate = rate.map_or(self.rate, |it| finite_or_zero(it).clamp(0.0, 1.0));
+        let since = self.at_tick.map_or(tick, |at| tick.saturating_sub(at)) as f64;
+        self.phase.ticks += self.rate * since;
+        if !self.is_frozen {
+            self.phase.waited_ticks += (1.0 - self.rate) * since;
+        }
         self.at_tick = Some(tick);
     }
 }
@@ -172,7 +188,7 @@ mod tests {
     fn well(tick: u64, clock: &ReferenceClock) -> GateReport {
         GateReport {
             tick,
-            reference: Some((0.0, clock.phase_ticks())),
+            reference: Some((0.0, clock.phase.ticks)),
             clock_rate: 1.0,
             is_stopped: false,
         }
@@ -231,15 +247,15 @@ mod tests {
             clock.advance(0, None);
             let mut now = 0;
             for (since, report) in ticks {
-                let before = clock.phase_ticks();
+                let before = clock.phase.ticks;
                 now += since;
                 match clock.advance(now, report) {
                     Moved::Restarted { after_ticks } => {
-                        prop_assert_eq!((after_ticks, clock.phase_ticks()), (before as u64, 0.0));
+                        prop_assert_eq!((after_ticks, clock.phase.ticks), (before, 0.0));
                     }
                     moved => {
                         prop_assert_eq!(moved, Moved::On);
-                        let run = clock.phase_ticks() - before;
+                        let run = clock.phase.ticks - before;
                         // Up to rounding.
                         let most = since as f64 + 1e-9;
                         prop_assert!((0.0..=most).contains(&run), "{run} in {since}");
@@ -260,15 +276,15 @@ mod tests {
                 let report = (tick == before || tick % 3 == 0).then(|| stopped(tick, &clock));
                 prop_assert_eq!(clock.advance(tick + 1, report), Moved::On);
                 prop_assert!(clock.is_frozen());
-                prop_assert_eq!(clock.whole_ticks(), before);
+                prop_assert_eq!(clock.phase(), Phase::from(before));
             }
             let now = before + stop + 1;
             let report = well(now - 1, &clock);
             let moved = clock.advance(now, Some(report));
-            prop_assert_eq!(moved, Moved::Restarted { after_ticks: before });
+            prop_assert_eq!(moved, Moved::Restarted { after_ticks: before as f64 });
             prop_assert!(!clock.is_frozen());
             prop_assert_eq!(clock.advance(now + after, None), Moved::On);
-            prop_assert_eq!(clock.whole_ticks(), after);
+            prop_assert_eq!(clock.phase(), Phase::from(after));
         }
 
         #[test]
@@ -292,6 +308,8 @@ mod tests {
             let restarted = matches!(predecessor.advance(tick, last), Moved::Restarted { .. });
             // After a rearm that nobody took over, the reference goes on from where it stood.
             prop_assume!(!restarted);
+            // For how long the predecessor has waited is not handed on.
+            successor.phase.waited_ticks = predecessor.phase.waited_ticks;
             prop_assert_eq!(successor, predecessor);
             for (since, kind) in further {
                 let report = told(kind, tick, &predecessor);
@@ -306,11 +324,11 @@ mod tests {
         fn who_joins_believes_no_strange_number(report in any_report(), tick in 0..1_000_000u64) {
             let mut clock = ReferenceClock::joining();
             if clock.advance(tick, report) == Moved::Held {
-                prop_assert_eq!(clock.phase_ticks(), 0.0);
+                prop_assert_eq!(clock.phase(), Phase::default());
                 return Ok(());
             }
             let most = ReferenceClock::LONGEST_TICKS + tick as f64;
-            prop_assert!((0.0..=most).contains(&clock.phase_ticks()));
+            prop_assert!((0.0..=most).contains(&clock.phase.ticks));
         }
     }
 
@@ -323,15 +341,18 @@ mod tests {
             assert_eq!(clock.advance(tick, report), Moved::Held);
         }
         assert_eq!(clock.advance(120, Some(knows_nothing)), Moved::JoinedAnew);
-        assert_eq!(clock.phase_ticks(), 0.0);
+        assert_eq!(clock.phase(), Phase::default());
         assert_eq!(clock.advance(123, None), Moved::On);
-        assert_eq!(clock.phase_ticks(), 3.0);
+        assert_eq!(clock.phase(), Phase::from(3));
     }
 
     #[test]
-    fn in_lockstep_it_is_the_tick() {
+    fn in_lockstep_it_runs_with_the_ticks_at_the_rate_that_was_set_last() {
         let mut clock = ReferenceClock::default();
-        clock.set(7);
-        assert_eq!((clock.phase_ticks(), clock.whole_ticks()), (7.0, 7));
+        let rates = [None, None, Some(0.25), None, Some(0.0), Some(1.0), None];
+        for (tick, rate) in (0..).zip(rates) {
+            clock.follow(tick, rate);
+        }
+        assert_eq!(clock.phase(), Phase { ticks: 3.5, waited_ticks: 2.5 });
     }
 }

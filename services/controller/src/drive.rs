@@ -6,6 +6,7 @@ use tracking::{
     TrackingError, tracking_error,
 };
 
+use crate::clock::Phase;
 use crate::laws::{ControlLaw, LawState, RawCommand};
 use crate::sight::Sight;
 
@@ -22,6 +23,19 @@ pub struct Seen {
     pub truth: Option<Pose>,
     /// Whether the vehicle reports a collision.
     pub collision: bool,
+}
+
+/// What the vehicle's gate reports of the drive.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct GateWord {
+    /// Bits: what is wrong now, or was when the vehicle was stopped.
+    pub reasons: u32,
+    /// The vehicle is being stopped, or stands.
+    pub is_stopped: bool,
+    /// It stands.
+    pub stands: bool,
+    /// The stop ends the drive: the vehicle is not to be rearmed.
+    pub is_final: bool,
 }
 
 /// What the controller computes in one tick.
@@ -52,7 +66,14 @@ pub struct DriveController {
     near_m: f64,
     ticks: u64,
     /// Ticks that the reference's clock had run before it last started from rest.
-    ticks_before: u64,
+    ticks_before: f64,
+    gate: GateWord,
+    stopped_for: u32,
+    slowed_for: u32,
+    /// Ticks since the stop that ends the drive.
+    stop_ticks: u64,
+    /// Ticks for which it waits, in all, for a vehicle that does not follow.
+    wait_limit_ticks: f64,
     goal_radius_m: f64,
     steering_limit_rad: f64,
     tick_s: f64,
@@ -61,6 +82,9 @@ pub struct DriveController {
 }
 
 impl DriveController {
+    /// How long a vehicle that is being stopped may take to stand.
+    const LONGEST_STOP_S: f64 = 10.0;
+
     /// A drive with parameters of 0, at its first tick; [`DriveController::reset`] gives others.
     pub fn new(config: &RunConfig) -> Self {
         Self {
@@ -72,7 +96,12 @@ impl DriveController {
             trace: Trace::default(),
             near_m: 0.0,
             ticks: config.ticks(),
-            ticks_before: 0,
+            ticks_before: 0.0,
+            gate: GateWord::default(),
+            stopped_for: 0,
+            slowed_for: 0,
+            stop_ticks: 0,
+            wait_limit_ticks: config.reference.wait_limit_s / config.drive.tick_s,
             goal_radius_m: config.drive.goal_radius_m,
             steering_limit_rad: config.controller.steering_limit_rad,
             tick_s: config.drive.tick_s,
@@ -90,7 +119,16 @@ impl DriveController {
         self.look_around(0.0);
         self.parameters = parameters;
         self.ticks = ticks;
-        self.ticks_before = 0;
+        self.ticks_before = 0.0;
+        self.gate = GateWord::default();
+        (self.stopped_for, self.slowed_for, self.stop_ticks) = (0, 0, 0);
+    }
+
+    /// Takes what the gate has reported since the last tick.
+    pub fn hear_gate(&mut self, word: GateWord) {
+        self.gate = word;
+        let whether = if word.is_stopped { &mut self.stopped_for } else { &mut self.slowed_for };
+        *whether |= word.reasons;
     }
 
     /// Goes on with a drive of which only this is known: where the reference's clock last started from rest, where the
@@ -112,9 +150,9 @@ impl DriveController {
     }
 
     /// Lets the reference's clock start again from rest, where the vehicle stands: at its projection on the path. The
-    /// clock had run for `phase` ticks.
-    pub fn restart(&mut self, phase: u64, measured: Pose, steering_rad: f64) {
-        self.ticks_before += phase;
+    /// clock had run for `after_ticks`.
+    pub fn restart(&mut self, after_ticks: f64, measured: Pose, steering_rad: f64) {
+        self.ticks_before += after_ticks;
         let along_m = self.reference.projection_m(measured);
         self.reference.restart_at(along_m);
         self.look_around(along_m);
@@ -142,18 +180,18 @@ impl DriveController {
         self.parameters = parameters;
     }
 
-    /// One tick, named by the ticks that the reference's clock has run. Call it for each from 0 on, until the drive
+    /// One tick, at this phase of the reference's clock. Call it for each tick of the vehicle from 0 on, until the drive
     /// has ended.
     // Inlined, its results stay in registers: written to memory in halves and read back whole, they stall.
     #[inline]
-    pub fn tick(&mut self, tick: u64, seen: Seen) -> Decision {
-        let reference_pose = self.reference.advance(tick, seen.measured);
+    pub fn tick(&mut self, phase: Phase, seen: Seen) -> Decision {
+        let reference_pose = self.reference.advance(phase.ticks, seen.measured);
         let Seen { measured, speed_mps, yaw_rate_radps, truth, .. } = seen;
         let sight = Sight::of_vehicle(
             self.tracked_point_m,
             self.wheelbase_m,
             &self.reference,
-            tick,
+            phase.ticks,
         )
         .with(reference_pose, measured, speed_mps, yaw_rate_radps, self.near_m);
         let command = self.law.command(&self.parameters, &sight);
@@ -176,7 +214,8 @@ impl DriveController {
         self.trace.add(command.yaw_rate_radps);
         self.trace.add(command.steering_rad);
 
-        let ended = self.end_reason(tick, seen).map(|reason| self.end(reason, scored));
+        self.stop_ticks += u64::from(self.gate.is_final);
+        let ended = self.end_reason(phase, seen).map(|reason| self.end(reason, scored));
         let reference_along_m = self.reference.along_m();
         Decision { command, error, reference_along_m, path_distance_m, ended }
     }
@@ -191,12 +230,20 @@ impl DriveController {
             EndReason::Goal => 1.0,
             _ => (along_m / path.length_m()).clamp(0.0, 1.0),
         };
-        self.recorder.finish(reason, self.ticks, self.tick_s, progress, self.trace.0)
+        let record =
+            self.recorder.finish(reason, self.ticks, self.tick_s, progress, self.trace.0);
+        DriveRecord { stopped_for: self.stopped_for, slowed_for: self.slowed_for, ..record }
     }
 
-    fn end_reason(&self, tick: u64, seen: Seen) -> Option<EndReason> {
+    fn end_reason(&self, phase: Phase, seen: Seen) -> Option<EndReason> {
         if seen.collision {
             return Some(EndReason::Collision);
+        }
+        if self.gate.is_final {
+            // A vehicle that does not obey cannot be stopped either.
+            let is_over =
+                self.gate.stands || self.stop_ticks as f64 * self.tick_s >= Self::LONGEST_STOP_S;
+            return is_over.then_some(EndReason::Stopped);
         }
         // Only after the reference: a closed path must not end where it begins.
         if self.reference.at_end() {
@@ -206,7 +253,11 @@ impl DriveController {
                 return Some(EndReason::Goal);
             }
         }
-        (self.ticks_before + tick + 1 >= self.ticks).then_some(EndReason::Time)
+        // The drive's time is that of the reference's clock, so that a vehicle which was held can still arrive.
+        if self.ticks_before + phase.ticks + 1.0 >= self.ticks as f64 {
+            return Some(EndReason::Time);
+        }
+        (phase.waited_ticks >= self.wait_limit_ticks).then_some(EndReason::Held)
     }
 }
 
@@ -256,9 +307,9 @@ mod tests {
     fn a_drive_ends_with_its_last_tick() {
         let mut drive = drive(&[]);
         for tick in 0..499 {
-            assert!(drive.tick(tick, still(0.0)).ended.is_none());
+            assert!(drive.tick(Phase::from(tick), still(0.0)).ended.is_none());
         }
-        let ended = drive.tick(499, still(0.0)).ended.unwrap();
+        let ended = drive.tick(Phase::from(499), still(0.0)).ended.unwrap();
         assert_eq!((ended.ticks, ended.reason), (500, EndReason::Time));
     }
 
@@ -266,22 +317,22 @@ mod tests {
     fn progress_is_the_share_of_the_path_that_lies_behind() {
         let mut drive =
             drive(&["drive.loop_time_s=0.01", "path.pieces=[{kind='straight',length_m=8.0}]"]);
-        let record = drive.tick(0, still(2.0)).ended.unwrap();
+        let record = drive.tick(Phase::default(), still(2.0)).ended.unwrap();
         assert_eq!((record.progress, record.arrived()), (0.25, false));
     }
 
     #[test]
     fn the_goal_counts_only_once_the_reference_is_there() {
         let mut drive = drive(&["path.pieces=[{kind='straight',length_m=0.75}]"]);
-        assert!(drive.tick(0, still(0.75)).ended.is_none());
-        let ended = drive.tick(100, still(0.6)).ended.unwrap();
+        assert!(drive.tick(Phase::default(), still(0.75)).ended.is_none());
+        let ended = drive.tick(Phase::from(100), still(0.6)).ended.unwrap();
         assert_eq!(ended.reason, EndReason::Goal);
     }
 
     #[test]
     fn a_collision_ends_a_drive() {
         let mut drive = drive(&[]);
-        let ended = drive.tick(0, Seen { collision: true, ..still(0.0) }).ended.unwrap();
+        let ended = drive.tick(Phase::default(), Seen { collision: true, ..still(0.0) }).ended.unwrap();
         assert_eq!(ended.reason, EndReason::Collision);
     }
 
@@ -289,8 +340,8 @@ mod tests {
     fn the_trace_sees_every_bit() {
         let trace = |x_m: f64| {
             let mut drive = drive(&["drive.loop_time_s=0.02"]);
-            drive.tick(0, still(x_m));
-            drive.tick(1, still(0.0)).ended.unwrap().trace
+            drive.tick(Phase::from(0), still(x_m));
+            drive.tick(Phase::from(1), still(0.0)).ended.unwrap().trace
         };
         assert_eq!(trace(0.5), trace(0.5));
         assert_ne!(trace(0.5), trace(0.5 + f64::EPSILON));
@@ -301,7 +352,7 @@ mod tests {
     fn the_record_reads_the_truth_and_the_law_the_measurement() {
         let mut drive = drive(&["drive.loop_time_s=0.01"]);
         let truth = Some(Pose { y_m: -2.0, ..Pose::default() });
-        let decision = drive.tick(0, Seen { truth, ..still(0.0) });
+        let decision = drive.tick(Phase::default(), Seen { truth, ..still(0.0) });
         assert_eq!(decision.error.cross_track_m, 0.0);
         let record = decision.ended.unwrap();
         assert_eq!((record.mean_abs_cross_m, record.path_mean_m), (2.0, 2.0));

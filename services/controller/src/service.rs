@@ -11,7 +11,7 @@ use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
 use tracking::{DriveRecord, EndReason, Pose};
 
 use crate::clock::{GateReport, Moved, ReferenceClock, finite_or_zero};
-use crate::{Decision, DriveController, Seen};
+use crate::{Decision, DriveController, GateWord, Seen};
 
 /// Runs the process until it is asked to stop.
 ///
@@ -58,9 +58,51 @@ struct Controller {
     kept: Vec<KeptLawState>,
     /// The batch that is driven, with the tick that comes next; `None` between batches.
     driving: Option<(BatchHeader, u64)>,
+    roll_out: RollOut,
     /// The last attempt that was requested.
     last: Attempt,
     counters: Counters,
+}
+
+/// By the clock, the time between the end of a batch and its report, in which the supervisor brings the vehicles to a
+/// stop: the run may be over with the report.
+struct RollOut {
+    speed_limit_mps: f64,
+    stop_deceleration_mps2: f64,
+    standstill_mps: f64,
+    /// The earliest and the latest time of the report, once all drives have ended.
+    within_ns: Option<(u64, u64)>,
+}
+
+impl RollOut {
+    /// By how much longer than the commands a vehicle may take to come to a stop, before it is no longer waited for.
+    const PATIENCE_S: f64 = 2.0;
+
+    fn new(config: &RunConfig) -> Self {
+        let safety = config.vehicle.safety;
+        Self {
+            speed_limit_mps: config.supervisor.speed_limit_mps,
+            stop_deceleration_mps2: safety.stop_deceleration_mps2,
+            standstill_mps: safety.standstill_mps,
+            within_ns: None,
+        }
+    }
+
+    /// Whether it is over. The slots are those of a batch whose drives have all ended.
+    fn is_over(&mut self, now_ns: u64, slots: &[Slot]) -> bool {
+        let (earliest_ns, latest_ns) =
+            *self.within_ns.get_or_insert_with(|| {
+                let fastest_mps = slots.iter().fold(0.0, |fastest: f64, slot| {
+                    let commanded_mps = slot.answer.command.speed_mps.abs();
+                    fastest.max(commanded_mps.min(self.speed_limit_mps))
+                });
+                let stop_s = fastest_mps / self.stop_deceleration_mps2;
+                let after_ns = |time_s: f64| now_ns + (time_s * 1e9) as u64;
+                (after_ns(stop_s), after_ns(2.0 * stop_s + Self::PATIENCE_S))
+            });
+        let stand = slots.iter().all(|slot| slot.seen.speed_mps.abs() < self.standstill_mps);
+        now_ns >= latest_ns || now_ns >= earliest_ns && stand
+    }
 }
 
 struct Slot {
@@ -101,6 +143,7 @@ impl Controller {
             reports: bus.outlet()?,
             run,
             fresh: DriveController::new(&config),
+            roll_out: RollOut::new(&config),
             law: config.law,
             requested: Vec::new(),
             slots: Vec::new(),
@@ -137,6 +180,7 @@ impl Controller {
         }
         self.scheduled = requests.iter().any(|it| has(it.flags, DriveRequest::SCHEDULED));
         self.driving = Some((header, 0));
+        self.roll_out.within_ns = None;
         self.last = header.attempt;
     }
 
@@ -154,13 +198,18 @@ impl Controller {
             return Ok(());
         }
         let real_time = self.real_time;
+        let safety = if real_time { None } else { self.newest_safety()? };
+        let told = |index: usize| safety.as_ref().map(|it| it.items()[index]);
         let Self { slots, counters, .. } = self;
         let mut sent_ns = 0;
         // All steps for one vehicle after the other: a fleet does not fit into the nearest cache.
         let answer = |index: usize| {
             let slot = &mut slots[index];
             if !real_time {
-                slot.clock.set(header.tick);
+                let safety = told(index);
+                slot.clock.follow(header.tick, safety.map(|it| it.clock_rate));
+                // Nobody rearms a vehicle in lockstep.
+                slot.hear_gate(safety, true);
             }
             let believed = slot.tick(&odometry[index]);
             counters.rejected += u64::from(!believed);
@@ -189,10 +238,20 @@ impl Controller {
             self.counters.batch = batch.attempt.batch;
             self.counters.tick = *tick;
         }
-        if slots.iter().all(|slot| slot.record.is_some()) {
+        let has_ended = slots.iter().all(|slot| slot.record.is_some());
+        if has_ended && (!real_time || self.roll_out.is_over(now_ns(), &self.slots)) {
             self.report()?;
         }
         Ok(())
+    }
+
+    /// Reports a batch whose vehicles have had time enough to come to a stop, also if they say no more.
+    fn look_at_clock(&mut self) -> Result<bool> {
+        let is_due = self.driving.is_some() && now_ns() >= self.due_ns();
+        if is_due {
+            self.report()?;
+        }
+        Ok(is_due)
     }
 
     /// Whether odometry with this header is what the batch goes on with.
@@ -247,17 +306,24 @@ impl Controller {
         Ok(awaits && !self.real_time)
     }
 
-    /// Receives the gate's reports: whether a reference stands still, and the state of a drive that is joined. Returns
-    /// whether this tick can be answered.
-    fn hear_safety(&mut self, tick: u64, odometry: &[Odometry]) -> Result<bool> {
-        let (attempt, len) = (self.last, self.slots.len());
-        let is_ours = |of: BatchHeader, items: usize| of.attempt == attempt && items == len;
+    /// The gate's newest report for this batch, if one has come since the last tick. It was sent before the command that
+    /// the vehicle answers with the odometry of the tick from which it holds: by now it is here.
+    fn newest_safety(&self) -> Result<Option<Received<Safety>>> {
         let mut newest = None;
         while let Some(message) = self.safety.receive()? {
-            if is_ours(message.header(), message.items().len()) {
+            if message.header().attempt == self.last && message.items().len() == self.slots.len() {
                 newest = Some(message);
             }
         }
+        Ok(newest)
+    }
+
+    /// Receives the gate's reports: whether a reference stands still, and the state of a drive that is joined. Returns
+    /// whether this tick can be answered.
+    fn hear_safety(&mut self, tick: u64, odometry: &[Odometry]) -> Result<bool> {
+        let newest = self.newest_safety()?;
+        let (attempt, len) = (self.last, self.slots.len());
+        let is_ours = |of: BatchHeader, items: usize| of.attempt == attempt && items == len;
         // Only a drive that is being joined needs it.
         let joins = self.slots.iter().any(|slot| slot.clock.is_joining());
         let kept = if joins { self.kept_law_states.receive_newest()? } else { None };
@@ -325,6 +391,7 @@ impl Slot {
     ) -> bool {
         // To join, it must know where the vehicle is.
         let safety = safety.filter(|_| seen.is_some() || !self.clock.is_joining());
+        self.hear_gate(safety, false);
         let measured = seen.unwrap_or(self.seen).measured;
         let steering_rad = safety.map_or(0.0, |it| finite_or_zero(it.steering_rad));
         match self.clock.advance(tick, safety.map(gate_report)) {
@@ -338,24 +405,36 @@ impl Slot {
             Moved::Joined { origin_m } => {
                 self.drive.join(origin_m, measured, steering_rad, state);
             }
-            Moved::JoinedAnew => self.drive.restart(0, measured, 0.0),
+            Moved::JoinedAnew => self.drive.restart(0.0, measured, 0.0),
         }
         self.joined = true;
-        let (phase_ticks, frozen) = (self.clock.phase_ticks(), self.clock.is_frozen());
+        let (phase_ticks, frozen) = (self.clock.phase().ticks, self.clock.is_frozen());
         tracing::info!(tick, phase_ticks, frozen, "joined the drive");
         true
     }
 
+    /// Tells the drive what the gate has reported. `is_final`: a stop ends the drive, whatever it is for.
+    fn hear_gate(&mut self, safety: Option<Safety>, is_final: bool) {
+        let Some(Safety { state, reasons, .. }) = safety else { return };
+        let is_stopped = state == Safety::STOPPING || state == Safety::STOPPED;
+        self.drive.hear_gate(GateWord {
+            reasons,
+            is_stopped,
+            stands: state == Safety::STOPPED,
+            is_final: is_stopped && (is_final || reasons & Safety::OF_THE_DRIVE != 0),
+        });
+    }
+
     /// Computes one tick; returns whether the odometry could be believed. If not, the last one stands in for it.
     fn tick(&mut self, odometry: &Odometry) -> bool {
-        if self.record.is_some() {
-            return true;
-        }
         let believed = seen(odometry);
         let seen = believed.unwrap_or(self.seen);
         self.seen = seen;
+        if self.record.is_some() {
+            return true;
+        }
         let Decision { command, error, reference_along_m, path_distance_m, ended } =
-            self.drive.tick(self.clock.whole_ticks(), seen);
+            self.drive.tick(self.clock.phase(), seen);
         self.answer = Answer { command, error, reference_along_m, path_distance_m };
         self.record = ended.map(Box::new);
         believed.is_some()
@@ -387,7 +466,11 @@ impl Slot {
                 EndReason::Time => DriveReport::TIME,
                 EndReason::Goal => DriveReport::GOAL,
                 EndReason::Collision => DriveReport::COLLISION,
+                EndReason::Held => DriveReport::HELD,
+                EndReason::Stopped => DriveReport::STOPPED,
             },
+            stopped_for: record.stopped_for,
+            slowed_for: record.slowed_for,
             flags: if self.seen.truth.is_some() { Odometry::HAS_TRUTH } else { 0 }
                 | if self.joined { DriveReport::JOINED } else { 0 },
         }
@@ -403,7 +486,7 @@ impl Slot {
             steering_rad: command.steering_rad,
             reference_along_m: self.answer.reference_along_m,
             origin_m: self.drive.origin_m(),
-            phase_ticks: self.clock.phase_ticks(),
+            phase_ticks: self.clock.phase().ticks,
             flags,
             reserved: 0,
         }
@@ -491,7 +574,7 @@ impl Service for Controller {
                 new
             }
             (None, Some(held)) => held,
-            (None, None) => return Ok(false),
+            (None, None) => return self.look_at_clock(),
         };
         let header = odometry.header();
         let is_early = header.attempt.is_ahead_of(&self.last);
@@ -506,6 +589,11 @@ impl Service for Controller {
 
     fn status(&self) -> Counters {
         self.counters
+    }
+
+    fn due_ns(&self) -> u64 {
+        let within_ns = self.roll_out.within_ns.filter(|_| self.driving.is_some());
+        within_ns.map_or(u64::MAX, |(_, latest_ns)| latest_ns)
     }
 }
 

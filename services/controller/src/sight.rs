@@ -21,9 +21,12 @@ pub struct Sight<'a> {
     /// The reference pose of this tick, in the map frame.
     pub reference_pose: Pose,
     reference: &'a Reference,
-    tick: u64,
+    /// The time of the reference's clock, in ticks since it last started from rest.
+    phase_ticks: f64,
     tracked_point_m: f64,
     wheelbase_m: f64,
+    /// The lateness of the vehicle, where the sight is not one of the present moment.
+    known_lateness_m: Option<f64>,
     /// Where the last projection was, along the path: the search for the next one starts from it.
     near_m: Cell<f64>,
 }
@@ -33,18 +36,18 @@ impl<'a> Sight<'a> {
     /// tick, as its axles are projected in turn.
     const WINDOW_M: f64 = 3.0;
 
-    /// The sight at `tick` of the reference's clock, for which `reference` has advanced to `reference_pose`.
+    /// The sight at a time of the reference's clock, for which `reference` has advanced to `reference_pose`.
     pub fn new(
         config: &RunConfig,
         reference: &'a Reference,
-        tick: u64,
+        phase_ticks: f64,
         reference_pose: Pose,
         pose: Pose,
         speed_mps: f64,
         yaw_rate_radps: f64,
     ) -> Self {
         let vehicle = &config.vehicle;
-        Self::of_vehicle(vehicle.tracked_point_m, vehicle.wheelbase_m, reference, tick).with(
+        Self::of_vehicle(vehicle.tracked_point_m, vehicle.wheelbase_m, reference, phase_ticks).with(
             reference_pose,
             pose,
             speed_mps,
@@ -58,7 +61,7 @@ impl<'a> Sight<'a> {
         tracked_point_m: f64,
         wheelbase_m: f64,
         reference: &'a Reference,
-        tick: u64,
+        phase_ticks: f64,
     ) -> Self {
         Self {
             error: TrackingError::default(),
@@ -67,9 +70,10 @@ impl<'a> Sight<'a> {
             yaw_rate_radps: 0.0,
             reference_pose: Pose::default(),
             reference,
-            tick,
+            phase_ticks,
             tracked_point_m,
             wheelbase_m,
+            known_lateness_m: None,
             near_m: Cell::new(0.0),
         }
     }
@@ -98,9 +102,9 @@ impl<'a> Sight<'a> {
         self.reference.pose_along_m()
     }
 
-    /// Speed at which the reference runs; 0 once it has come to the end of the path.
+    /// Speed at which the reference runs while its clock does; 0 once it has come to the end of the path.
     pub fn reference_speed_mps(&self) -> f64 {
-        self.reference.speed_mps(self.tick)
+        self.reference.speed_mps(self.phase_ticks)
     }
 
     /// Curvature of the path at the reference pose, 1/m, positive to the left.
@@ -126,9 +130,48 @@ impl<'a> Sight<'a> {
         point
     }
 
+    /// How far the vehicle is behind its reference, along the path, m.
+    pub fn lateness_m(&self) -> f64 {
+        self.known_lateness_m
+            .unwrap_or_else(|| self.reference_along_m() - self.projection().along_m)
+    }
+
+    /// The sight of a vehicle that will be at `pose` some ticks from now, on the reference of then, which is put into
+    /// `reference`. It knows the lateness of now: speed is commanded with less delay than steering.
+    pub(crate) fn ahead<'b>(&self, reference: &'b mut Reference, ticks: f64, pose: Pose) -> Sight<'b> {
+        let lateness_m = self.lateness_m();
+        let phase_ticks = self.phase_ticks + ticks;
+        let reference_pose = reference.advance(phase_ticks, pose);
+        let moved_m = libm::hypot(pose.x_m - self.pose.x_m, pose.y_m - self.pose.y_m);
+        let near_m = self.near_m.get() + moved_m.copysign(self.speed_mps);
+        Sight {
+            known_lateness_m: Some(lateness_m),
+            ..Sight::of_vehicle(self.tracked_point_m, self.wheelbase_m, reference, phase_ticks).with(
+                reference_pose,
+                pose,
+                self.speed_mps,
+                self.yaw_rate_radps,
+                near_m,
+            )
+        }
+    }
+
+    /// The reference, at this moment.
+    pub(crate) fn reference(&self) -> &Reference {
+        self.reference
+    }
+
     /// The pose of the path `ahead_m` beyond a place along it, held at its end.
     pub fn path_ahead(&self, along_m: f64, ahead_m: f64) -> Pose {
         self.path().at(along_m + ahead_m)
+    }
+
+    /// The pose `ahead_m` beyond a place along the path; behind the path's end, straight on.
+    pub fn path_ahead_or_beyond(&self, along_m: f64, ahead_m: f64) -> Pose {
+        let pose = self.path_ahead(along_m, ahead_m);
+        let beyond_m = (along_m + ahead_m - self.path().length_m()).max(0.0);
+        let at = pose.ahead(beyond_m);
+        Pose { x_m: at.x, y_m: at.y, yaw_rad: pose.yaw_rad }
     }
 
     /// Pose of the middle of the rear axle.

@@ -43,6 +43,9 @@ pub struct SingleDrive {
     pub steering_travel_radps: f64,
     /// Largest absolute lateral acceleration: speed times yaw rate.
     pub lateral_acceleration_max_mps2: f64,
+    /// Where it drove fastest, compared with the speed of the path there; null if nothing of it was recorded.
+    #[serde(default)]
+    pub fastest: Option<Fastest>,
     /// Whether the poses are true ones, which only a simulator knows; otherwise they are measured ones.
     pub true_poses: bool,
     /// Whether the controller was restarted during the drive: then the measures cover the time since.
@@ -54,4 +57,13 @@ pub struct SingleDrive {
     /// Ticks that a recorded drive lacks, by its name: by the clock, a process that is held up leaves ticks out.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub drives_lacking: BTreeMap<String, u64>,
+}
+
+/// A speed beside that of the path.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Fastest {
+    /// The vehicle's speed.
+    pub speed_mps: f64,
+    /// The speed at which that place of the path is to be passed.
+    pub path_speed_mps: f64,
 }

@@ -20,7 +20,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use drive::SingleDrive;
+pub use drive::{Fastest, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
 pub use recording::{RecordingFacts, TopicCounts};

@@ -3,6 +3,7 @@
 //! `rollout_tick` is all of a tick; what stands above it should add up to about as much.
 
 use config::{Layers, Parameters, RunConfig};
+use controller::clock::Phase;
 use controller::{ControlLaw, DriveController, Seen, Sight};
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
@@ -49,7 +50,7 @@ fn reference_advances(bencher: Bencher, maneuver: &str) {
         if tick == 0 {
             reference.reset();
         }
-        reference.advance(tick, black_box(pose()))
+        reference.advance(tick as f64, black_box(pose()))
     });
 }
 
@@ -59,7 +60,7 @@ fn control_law(bencher: Bencher) {
     let mut law = ControlLaw::new(&config);
     let reference = Reference::new(&config);
     let reference_pose = Pose { x_m: 1.5, y_m: -0.1, yaw_rad: 0.3 };
-    let sight = Sight::new(&config, &reference, 0, reference_pose, pose(), 1.0, 0.1);
+    let sight = Sight::new(&config, &reference, 0.0, reference_pose, pose(), 1.0, 0.1);
     let parameters = parameters();
     bencher.bench_local(move || law.command(black_box(&parameters), black_box(&sight)));
 }
@@ -82,7 +83,7 @@ fn controller_tick(bencher: Bencher) {
             drive.reset(parameters(), config.ticks());
             tick = 0;
         }
-        drive.tick(tick, black_box(seen))
+        drive.tick(Phase::from(tick), black_box(seen))
     });
 }
 
@@ -94,7 +95,7 @@ fn gate_and_watch(bencher: Bencher, vehicle: &str) {
     let mut tick = 0;
     bencher.bench_local(move || {
         tick += 1;
-        watch.see(tick, black_box(movement));
+        watch.see(tick, black_box(movement), true);
         watch.command(0.01, 0, Some(black_box(wanted)))
     });
 }
@@ -139,7 +140,7 @@ fn fleet_tick(bencher: Bencher, fleet: usize) {
         if tick >= config.ticks() {
             cars.iter_mut().for_each(|car| car.reset(config.path.start.into(), None));
             drives.iter_mut().for_each(|drive| drive.reset(parameters(), config.ticks()));
-            watches.fill(Watch::new(&config));
+            watches = vec![Watch::new(&config); fleet];
             tick = 0;
         }
         let mut seen = Vec::with_capacity(fleet);
@@ -156,7 +157,7 @@ fn fleet_tick(bencher: Bencher, fleet: usize) {
                 truth: Some(seen.truth),
                 collision: false,
             };
-            let command = drive.tick(tick, seen).command;
+            let command = drive.tick(Phase::from(tick), seen).command;
             let (yaw_rate_radps, steering_rad) = (command.yaw_rate_radps, command.steering_rad);
             wanted.push(RawCommand { speed_mps: command.speed_mps, yaw_rate_radps, steering_rad });
         }
@@ -164,7 +165,7 @@ fn fleet_tick(bencher: Bencher, fleet: usize) {
             let (pose, seen) = (seen[index].measured, seen[index]);
             let movement =
                 Movement { pose, speed_mps: seen.speed_mps, yaw_rate_radps: seen.yaw_rate_radps };
-            watch.see(tick, movement);
+            watch.see(tick, movement, true);
             let passed = watch.command(0.01, 0, Some(wanted[index]));
             commands[index] = (passed.speed_mps, passed.steering_rad);
         }

@@ -7,6 +7,8 @@
 //! - how fast the speed changes, and how fast that changes (jerk); how fast the steering angle changes;
 //! - the lateral acceleration v²·tan|φ|/L of the command.
 //!
+//! The yaw rate of a command is that of its speed and its steering angle, v·tan φ/L, so it is limited with them.
+//!
 //! They cannot contradict each other, because the gate looks ahead: it never allows an acceleration that could not be
 //! taken back, within the jerk limit, before the speed limit is reached, and never a steering angle that the speed
 //! reached by then would not allow.
@@ -70,7 +72,7 @@ impl Change {
 pub struct Passed {
     /// Forward speed.
     pub speed_mps: f64,
-    /// Wanted yaw rate, as the controller gave it.
+    /// The yaw rate of this speed and this steering angle.
     pub yaw_rate_radps: f64,
     /// Steering angle, positive to the left.
     pub steering_rad: f64,
@@ -156,11 +158,10 @@ impl Gate {
             slower.change.rejected = true;
             return slower;
         }
-        let RawCommand { speed_mps, yaw_rate_radps, steering_rad } = raw;
+        let RawCommand { speed_mps, steering_rad, .. } = raw;
         let limited_mps =
             speed_mps.min(self.limits.speed_mps.min(allowed_mps)).max(-self.limits.reverse_mps);
         let mut passed = self.shape(dt_s, limited_mps, f64::INFINITY, steering_rad);
-        passed.yaw_rate_radps = yaw_rate_radps;
         passed.change.speed_limited = limited_mps != speed_mps;
         passed
     }
@@ -211,7 +212,7 @@ impl Gate {
         self.steering_rad = steering_rad;
         Passed {
             speed_mps,
-            yaw_rate_radps: 0.0,
+            yaw_rate_radps: speed_mps * libm::tan(steering_rad) / limits.wheelbase_m,
             steering_rad,
             change: Change {
                 speed_limited: false,

@@ -3,6 +3,11 @@
 use config::RunConfig;
 use ipc_types::Safety;
 
+/// Faults that are only told: a vehicle that stands is safe.
+const TOLD: u32 = Safety::STANDS;
+/// Faults that stop the vehicle at once: nobody can drive it, and whatever is told makes it worse.
+const AT_ONCE: u32 = Safety::STEERING_REVERSED;
+
 /// How the vehicle is allowed to drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum State {
@@ -67,22 +72,23 @@ impl Guard {
         measured_mps: f64,
     ) -> State {
         match self.state {
-            State::Normal | State::Degraded if faults == 0 => {
+            State::Normal | State::Degraded if faults & !TOLD == 0 => {
                 self.faulty_s = (self.faulty_s - dt_s).max(0.0);
-                self.reasons = 0;
+                self.reasons = faults;
                 self.state = State::Normal;
             }
             State::Normal | State::Degraded => {
                 self.faulty_s += dt_s;
                 self.reasons = faults;
-                self.state = if self.faulty_s > self.degraded_limit_s {
+                let lasts = self.faulty_s > self.degraded_limit_s;
+                self.state = if lasts || faults & AT_ONCE != 0 {
                     State::Stopping
                 } else {
                     State::Degraded
                 };
             }
             State::Stopping => {
-                let stands = commanded_mps.abs().max(measured_mps.abs()) < self.standstill_mps;
+                let stands = self.stands(commanded_mps, measured_mps);
                 // A speed that has not been measured lately says nothing.
                 if stands && faults & Safety::ODOMETRY_STALE == 0 {
                     self.state = State::Stopped;
@@ -91,6 +97,11 @@ impl Guard {
             State::Stopped => {}
         }
         self.state
+    }
+
+    /// Whether these speeds, of the last command and of the vehicle, are those of a vehicle that stands.
+    pub fn stands(&self, commanded_mps: f64, measured_mps: f64) -> bool {
+        commanded_mps.abs().max(measured_mps.abs()) < self.standstill_mps
     }
 
     /// Stops the vehicle for good.
@@ -102,11 +113,14 @@ impl Guard {
     }
 
     /// Lets a stopped vehicle drive again, if nothing is wrong except what is unavoidable while it stands: that the
-    /// controller's reference stands still. Returns whether it does.
+    /// controller's reference stands still. Returns whether it does. That it has no leg of the path to drive on is kept
+    /// as a reason until the next try.
     pub fn rearm(&mut self, faults: u32) -> bool {
         let ready = self.state == State::Stopped && faults & !Safety::COMMAND_STALE == 0;
         if ready {
             (self.state, self.reasons, self.faulty_s) = (State::Normal, 0, 0.0);
+        } else if self.state.is_latched() {
+            self.reasons = self.reasons & !Safety::NO_LEG | faults & Safety::NO_LEG;
         }
         ready
     }

@@ -14,9 +14,9 @@ use ipc_types::{
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
-use tracking::{Pose, ZoneTracker};
+use tracking::{Pose, Reference, ZoneTracker};
 
-use crate::{Movement, State, Watch};
+use crate::{Movement, Pace, Progress, State, Watch};
 use by_the_clock::Clocked;
 
 /// Runs the process until it is asked to stop.
@@ -45,10 +45,12 @@ struct Supervisor {
     safety: Outlet<Safety>,
     run: u64,
     tick_s: f64,
+    /// Tells on which leg of the path a vehicle stands.
+    reference: Reference,
     answer_age_limit_ns: u64,
     started_ns: u64,
-    /// A tracker at the start of the path and a watch over a vehicle at rest, to be copied into new slots.
-    fresh: (ZoneTracker, Watch),
+    /// A tracker and a pace at the start of the path, and a watch over a vehicle at rest, to be copied into new slots.
+    fresh: (ZoneTracker, Pace, Watch),
     slots: Vec<Slot>,
     /// Zones that begin with the next tick.
     entered: Vec<Zone>,
@@ -64,12 +66,17 @@ struct Supervisor {
 
 struct Slot {
     tracker: ZoneTracker,
+    pace: Pace,
     watch: Watch,
+    /// The last pose and speed that were finite.
     measured: Pose,
+    speed_mps: f64,
     zone: usize,
     /// The newest answer, and the tick to which it belongs.
     raw: RawCommand,
     raw_tick: u64,
+    /// In lockstep: the rate of the reference's clock that was reported last.
+    told_rate: f64,
     ended: bool,
 }
 
@@ -87,9 +94,10 @@ impl Supervisor {
             safety: bus.outlet()?,
             run,
             tick_s: config.drive.tick_s,
+            reference: Reference::new(config),
             answer_age_limit_ns: (config.vehicle.safety.answer_age_limit_s * 1e9) as u64,
             started_ns,
-            fresh: (ZoneTracker::new(config), Watch::new(config)),
+            fresh: (ZoneTracker::new(config), Pace::new(config), Watch::new(config)),
             slots: Vec::new(),
             entered: Vec::new(),
             batch: BatchHeader { attempt: Attempt::between_batches(run), ..BatchHeader::default() },
@@ -109,15 +117,18 @@ impl Supervisor {
         }
         self.slots.extend(requests.iter().map(|request| Slot {
             tracker: self.fresh.0.clone(),
-            watch: self.fresh.1,
+            pace: self.fresh.1.clone(),
+            watch: self.fresh.2.clone(),
             measured: Pose {
                 x_m: request.start.x_m,
                 y_m: request.start.y_m,
                 yaw_rad: request.start.yaw_rad,
             },
+            speed_mps: 0.0,
             zone: 0,
             raw: RawCommand::default(),
             raw_tick: 0,
+            told_rate: 1.0,
             ended: false,
         }));
         self.batch = header;
@@ -142,23 +153,28 @@ impl Supervisor {
         }
         self.pass_by_the_clock(header, raw, received_ns)
     }
+}
 
-    fn tell_safety(&mut self, now_ns: u64) -> Result<()> {
-        let has_reference = self.clocked.as_ref().is_none_or(Clocked::has_reference);
-        let slots = &self.slots;
-        let batch = BatchHeader { flags: 0, sent_ns: now_ns, ..self.batch };
-        self.safety.send(batch, slots.len(), |index| {
-            let Slot { raw, raw_tick, watch, .. } = &slots[index];
-            Safety {
-                tick: *raw_tick,
-                origin_m: raw.origin_m,
-                phase_ticks: raw.phase_ticks,
-                has_reference: u32::from(has_reference),
-                ..watch.safety()
-            }
-        })?;
-        Ok(())
-    }
+/// Reports the gates' states, and the rates of the references' clocks from the next tick on.
+fn tell_safety(
+    safety: &Outlet<Safety>,
+    batch: BatchHeader,
+    slots: &[Slot],
+    has_reference: bool,
+) -> Result<()> {
+    let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..batch };
+    safety.send(header, slots.len(), |index| {
+        let slot = &slots[index];
+        Safety {
+            tick: slot.raw_tick,
+            origin_m: slot.raw.origin_m,
+            phase_ticks: slot.raw.phase_ticks,
+            clock_rate: slot.clock_rate(),
+            has_reference: u32::from(has_reference),
+            ..slot.watch.safety()
+        }
+    })?;
+    Ok(())
 }
 
 /// Announces zones that begin with the next tick.
@@ -171,16 +187,23 @@ fn announce(zones: &Outlet<Zone>, batch: BatchHeader, entered: &[Zone]) -> Resul
 }
 
 impl Slot {
-    /// Takes odometry; returns whether it could be believed.
+    /// Takes odometry; returns whether it could be believed. After the end of the drive it is not judged.
     fn see(&mut self, tick: u64, odometry: &Odometry, joins: bool) -> bool {
         let WirePose { x_m, y_m, yaw_rad } = odometry.measured;
         let pose = Pose { x_m, y_m, yaw_rad };
         let Odometry { speed_mps, yaw_rate_radps, steering_rad, .. } = *odometry;
         let movement = Movement { pose, speed_mps, yaw_rate_radps };
+        if speed_mps.is_finite() {
+            self.speed_mps = speed_mps;
+        }
+        if self.ended {
+            return true;
+        }
         if joins {
             self.watch.resume(movement, steering_rad);
         }
-        let faults = self.watch.see(tick, movement);
+        let obeys = !has(odometry.status, Odometry::OWN_STOP);
+        let faults = self.watch.see(tick, movement, obeys);
         if pose.is_finite() {
             self.measured = pose;
         }
@@ -195,26 +218,31 @@ impl Slot {
         if self.ended {
             return None;
         }
-        let zone = self.tracker.update(self.measured, raw.reference_along_m);
+        if !has(raw.flags, RawCommand::FROZEN) {
+            self.watch.look_near(raw.reference_along_m);
+        }
+        let RawCommand { speed_mps: asked_mps, reference_along_m: along_m, origin_m, .. } = *raw;
+        self.pace.update(tick, self.measured, Progress { asked_mps, along_m, origin_m });
+        let zone = self.tracker.update(self.measured, along_m);
         let is_new = zone != self.zone;
         self.zone = zone;
         is_new.then_some(zone as u32)
     }
 
-    /// What the raw command wants, within limits, if it is an answer; otherwise a command of our own. Also returns
-    /// whether the raw command was not finite.
+    /// What the raw command wants, within limits, if it is an answer; otherwise a command of our own. After the end of
+    /// the drive the vehicle is brought to a stop. Also returns whether the raw command was not finite.
     fn command(&mut self, dt_s: f64, faults: u32, is_answer: bool) -> (Command, bool) {
         let raw = is_answer.then_some(crate::RawCommand {
             speed_mps: self.raw.speed_mps,
             yaw_rate_radps: self.raw.yaw_rate_radps,
             steering_rad: self.raw.steering_rad,
         });
-        let passed = self.watch.command(dt_s, faults, raw);
+        let passed =
+            if self.ended { self.watch.end(dt_s) } else { self.watch.command(dt_s, faults, raw) };
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
         let change = passed.change;
         let command = Command {
-            // A slot whose drive has ended does not keep the batch going.
-            speed_mps: if self.ended { 0.0 } else { passed.speed_mps },
+            speed_mps: passed.speed_mps,
             yaw_rate_radps: passed.yaw_rate_radps,
             steering_rad: passed.steering_rad,
             flags: flag(self.ended, Command::ENDED)
@@ -233,6 +261,16 @@ impl Slot {
             zone: self.zone as u32,
         };
         (command, change.rejected)
+    }
+
+    /// The rate of the reference's clock from the next tick on.
+    fn clock_rate(&self) -> f64 {
+        if self.watch.state() == State::Normal { self.pace.rate() } else { 0.0 }
+    }
+
+    /// Whether there is nothing left to do for the vehicle: its drive has ended, and it stands.
+    fn is_at_rest(&self) -> bool {
+        self.ended && self.watch.stands(self.speed_mps)
     }
 }
 

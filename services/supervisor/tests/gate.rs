@@ -46,7 +46,8 @@ fn within_its_limits_a_command_passes_bit_for_bit() {
     for (speed_mps, steering_rad) in [(9.0, -0.5), (-300.0, 0.0), (0.1 + 0.2, 0.5235987755982988)] {
         let passed = gate.pass(TICK_S, 9.0, raw(speed_mps, steering_rad));
         assert_eq!((passed.speed_mps, passed.steering_rad), (speed_mps, steering_rad));
-        assert_eq!((passed.yaw_rate_radps, passed.change), (0.25, Change::default()));
+        assert_eq!(passed.yaw_rate_radps, speed_mps * libm::tan(steering_rad) / 2.875);
+        assert_eq!(passed.change, Change::default());
         assert!(!passed.change.is_any());
         assert_eq!((gate.speed_mps(), gate.steering_rad()), (speed_mps, steering_rad));
     }
@@ -87,7 +88,8 @@ fn what_is_not_finite_slows_the_vehicle_down() {
         assert!(passed.change.rejected && !passed.change.speed_limited);
         // The stop's deceleration, the steering held.
         assert!(near(passed.speed_mps, 1.0 - 2.0 * TICK_S), "{}", passed.speed_mps);
-        assert_eq!((passed.steering_rad, passed.yaw_rate_radps), (0.1, 0.0));
+        assert_eq!(passed.steering_rad, 0.1);
+        assert_eq!(passed.yaw_rate_radps, passed.speed_mps * libm::tan(0.1) / 2.875);
     }
     assert!(raw(1.0, 0.1).is_finite());
 }
@@ -416,6 +418,7 @@ fn check(
         ("deceleration", acceleration >= -limits.deceleration - grain),
         ("jerk", (acceleration - last.1).abs() <= limits.jerk * dt_s + 4.0 * grain),
         ("steering rate", (angle - last.2).abs() <= limits.rate * dt_s + 1e-12),
+        ("yaw rate", yaw_rate_radps == v * libm::tan(angle) / limits.wheelbase),
         (
             "lateral acceleration",
             v * v * angle.abs().tan() / limits.wheelbase <= limits.lateral * (1.0 + 1e-9) + 1e-9,

@@ -230,6 +230,29 @@ impl Path {
     /// The point of the path nearest to a position, among those at most `window_m` away from `near_m`
     /// along the path: where a path meets itself, the vehicle's earlier place decides.
     pub fn project(&self, x_m: f64, y_m: f64, near_m: f64, window_m: f64) -> PathPoint {
+        self.nearest(x_m, y_m, near_m, window_m, |_| true).unwrap_or_else(|| {
+            let along_m = near_m.clamp(0.0, self.length_m());
+            PathPoint { along_m, offset_m: 0.0, pose: self.at(along_m) }
+        })
+    }
+
+    /// As [`Path::project`], on the legs of the path alone that a vehicle with this heading drives along: the headings
+    /// are less than 90° apart. `None` if there is no such leg in the window.
+    pub fn project_along(&self, pose: Pose, near_m: f64, window_m: f64) -> Option<PathPoint> {
+        let fits = |at: Pose| libm::cos(at.yaw_rad - pose.yaw_rad) > 0.0;
+        self.nearest(pose.x_m, pose.y_m, near_m, window_m, fits)
+    }
+
+    /// The nearest of the points within the window that the segments have to offer, one each, and that count.
+    #[inline]
+    fn nearest(
+        &self,
+        x_m: f64,
+        y_m: f64,
+        near_m: f64,
+        window_m: f64,
+        counts: impl Fn(Pose) -> bool,
+    ) -> Option<PathPoint> {
         let (low, high) = (near_m - window_m, near_m + window_m);
         let mut best: Option<(f64, PathPoint)> = None;
         // A path through points has thousands of segments, and the window a few dozen.
@@ -247,15 +270,12 @@ impl Path {
             let pose = segment.at(along_m - from);
             let (dx, dy) = (x_m - pose.x_m, y_m - pose.y_m);
             let apart = dx * dx + dy * dy;
-            if best.is_none_or(|(least, _)| apart < least) {
+            if best.is_none_or(|(least, _)| apart < least) && counts(pose) {
                 let offset_m = dy * libm::cos(pose.yaw_rad) - dx * libm::sin(pose.yaw_rad);
                 best = Some((apart, PathPoint { along_m, offset_m, pose }));
             }
         }
-        best.map(|(_, point)| point).unwrap_or_else(|| {
-            let along_m = near_m.clamp(0.0, self.length_m());
-            PathPoint { along_m, offset_m: 0.0, pose: self.at(along_m) }
-        })
+        best.map(|(_, point)| point)
     }
 }
 

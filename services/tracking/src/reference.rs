@@ -26,6 +26,10 @@ struct Plan {
     lookahead_m: f64,
     speed_mps: f64,
     ramp_s: f64,
+    /// How far from a place along the path to look first for the stretch on which a vehicle stands, and how far from the
+    /// path it may stand.
+    window_m: f64,
+    reach_m: f64,
     /// The times of a path with speeds of its own.
     timetable: Option<Timetable>,
     tick_s: f64,
@@ -96,8 +100,10 @@ impl Reference {
     /// With [`Advance::Projection`], how far from the last projection the next one is looked for.
     const WINDOW_M: f64 = 3.0;
 
-    /// How far from the reference to look first for a vehicle that was stopped during its drive.
-    const FAR_M: f64 = 20.0;
+    /// How far from the reference to look first for a vehicle that was stopped during its drive, and how far from the
+    /// path it may stand, in wheelbases: 20 m and 12 m for a full-size car.
+    const WINDOW_WHEELBASES: f64 = 7.0;
+    const REACH_WHEELBASES: f64 = 4.0;
 
     /// The reference of a configuration, at the start of its path.
     pub fn new(config: &RunConfig) -> Self {
@@ -111,16 +117,19 @@ impl Reference {
             lookahead_m: config.reference.lookahead_m,
             speed_mps: config.reference.speed_mps,
             ramp_s: config.reference.ramp_s,
+            window_m: Self::WINDOW_WHEELBASES * config.vehicle.wheelbase_m,
+            reach_m: Self::REACH_WHEELBASES * config.vehicle.wheelbase_m,
             tick_s: config.drive.tick_s,
         };
         Self { plan: Arc::new(plan), along_m: 0.0, origin_m: 0.0, origin_s: 0.0 }
     }
 
-    /// Moves to `tick` of its clock, with the pose that was measured then, and returns the reference pose.
-    pub fn advance(&mut self, tick: u64, measured: Pose) -> Pose {
+    /// Moves to a time of its clock, in ticks since it last started from rest, with the pose that was measured then, and
+    /// returns the reference pose.
+    pub fn advance(&mut self, phase_ticks: f64, measured: Pose) -> Pose {
         match self.plan.advance {
             Advance::Time => {
-                self.along_m = self.distance_after(tick as f64 * self.plan.tick_s);
+                self.along_m = self.distance_after(phase_ticks * self.plan.tick_s);
                 self.plan.path.at(self.along_m)
             }
             Advance::Projection => {
@@ -149,13 +158,36 @@ impl Reference {
         self.origin_m
     }
 
-    /// The place of the path nearest to a pose: near the reference, if the path is near the pose there, otherwise
-    /// anywhere.
+    /// The place of the path on which a vehicle stands: the nearest one that the vehicle's heading fits, on the stretch
+    /// around `near_m` along the path if there is one, else farther and farther away. `None` if no place within reach of
+    /// the vehicle fits its heading.
+    ///
+    /// So the stretch decides before the distance: on a path that returns to its start, the vehicle is looked for where
+    /// it was, not at the other end.
+    pub fn leg_m(&self, pose: Pose, near_m: f64) -> Option<f64> {
+        let Plan { path, window_m, reach_m, .. } = &*self.plan;
+        let mut window_m = *window_m;
+        loop {
+            let low_m = (near_m - window_m).max(0.0);
+            let high_m = (near_m + window_m).min(path.length_m());
+            let found = path.project_along(pose, near_m, window_m).filter(|point| {
+                // At an edge of the window that is no end of the path, the nearest point lies beyond it.
+                let is_inside = (point.along_m > low_m || low_m == 0.0)
+                    && (point.along_m < high_m || high_m == path.length_m());
+                is_inside && apart_m(pose, point.pose) <= *reach_m
+            });
+            if found.is_some() || window_m >= path.length_m() {
+                return found.map(|point| point.along_m);
+            }
+            window_m *= 2.0;
+        }
+    }
+
+    /// The place of the path on which a vehicle stands, or the nearest one if there is none.
     pub fn projection_m(&self, pose: Pose) -> f64 {
-        let within = |window_m| self.plan.path.project(pose.x_m, pose.y_m, self.along_m, window_m);
-        let near = within(Self::FAR_M);
-        let apart_m = libm::hypot(pose.x_m - near.pose.x_m, pose.y_m - near.pose.y_m);
-        if apart_m <= Self::WINDOW_M { near.along_m } else { within(f64::INFINITY).along_m }
+        let anywhere =
+            || self.plan.path.project(pose.x_m, pose.y_m, self.along_m, f64::INFINITY).along_m;
+        self.leg_m(pose, self.along_m).unwrap_or_else(anywhere)
     }
 
     /// Progress along the path.
@@ -178,18 +210,24 @@ impl Reference {
         if self.plan.advance == Advance::Projection { self.plan.lookahead_m } else { 0.0 }
     }
 
-    /// The reference's speed at `tick` of its clock; 0 once it has come to the end of the path.
-    pub fn speed_mps(&self, tick: u64) -> f64 {
-        let Plan { timetable, speed_mps, ramp_s, tick_s, advance, .. } = &*self.plan;
+    /// The reference's speed at a time of its clock, while the clock runs; 0 once it has come to the end of the path.
+    pub fn speed_mps(&self, phase_ticks: f64) -> f64 {
+        let Plan { speed_mps, ramp_s, tick_s, advance, .. } = &*self.plan;
         if *advance == Advance::Projection {
             return *speed_mps;
         }
         if self.at_end() {
             return 0.0;
         }
-        let time_s = tick as f64 * tick_s;
+        let time_s = phase_ticks * tick_s;
         let share = if time_s < *ramp_s { time_s / ramp_s } else { 1.0 };
-        share * timetable.as_ref().map_or(*speed_mps, |table| table.speed_mps(self.along_m))
+        share * self.path_speed_mps(self.along_m)
+    }
+
+    /// The speed at which a place of the path is to be passed.
+    pub fn path_speed_mps(&self, along_m: f64) -> f64 {
+        let Plan { timetable, speed_mps, .. } = &*self.plan;
+        timetable.as_ref().map_or(*speed_mps, |table| table.speed_mps(along_m))
     }
 
     /// Pose of the path's end.
@@ -224,6 +262,10 @@ impl Reference {
     }
 }
 
+fn apart_m(a: Pose, b: Pose) -> f64 {
+    libm::hypot(a.x_m - b.x_m, a.y_m - b.y_m)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -241,11 +283,11 @@ mod tests {
     fn the_ramp_ends_at_the_set_speed() {
         let mut reference = lane_change(&[]);
         let measured = Pose::default();
-        reference.advance(0, measured);
+        reference.advance(0.0, measured);
         assert_eq!(reference.along_m(), 0.0);
-        reference.advance(100, measured);
+        reference.advance(100.0, measured);
         assert!((reference.along_m() - 0.75).abs() < 1e-12);
-        reference.advance(300, measured);
+        reference.advance(300.0, measured);
         assert!((reference.along_m() - 3.75).abs() < 1e-12);
         assert!(!reference.at_end());
     }
@@ -267,19 +309,19 @@ mod tests {
         let profile = |along_m: f64| 1.0 + 0.8 * libm::sin(along_m);
         for ramp_s in [0.0, 1.0] {
             let mut reference = straight(ramp_s, profile);
-            let mut last_m = reference.advance(0, Pose::default()).x_m;
+            let mut last_m = reference.advance(0.0, Pose::default()).x_m;
             let mut ended = false;
             for tick in 1..3000 {
-                let along_m = reference.advance(tick, Pose::default()).x_m;
+                let along_m = reference.advance(f64::from(tick), Pose::default()).x_m;
                 let speed_mps = (along_m - last_m) / 0.01;
-                let share = (0.01 * (tick as f64 - 0.5) / ramp_s).min(1.0);
+                let share = (0.01 * (f64::from(tick) - 0.5) / ramp_s).min(1.0);
                 let wanted_mps = share * profile(0.5 * (along_m + last_m));
                 if !reference.at_end() {
                     assert!(
                         (speed_mps - wanted_mps).abs() < 0.02,
                         "{tick}: {speed_mps} {wanted_mps}"
                     );
-                    let told_mps = reference.speed_mps(tick);
+                    let told_mps = reference.speed_mps(f64::from(tick));
                     assert!((told_mps - speed_mps).abs() < 0.03, "{tick}: {told_mps} {speed_mps}");
                 }
                 ended |= reference.at_end();
@@ -288,7 +330,7 @@ mod tests {
             assert!(ended);
             assert_eq!((last_m, reference.along_m()), (10.0, 10.0));
             reference.reset();
-            assert_eq!(reference.advance(0, Pose::default()).x_m, 0.0);
+            assert_eq!(reference.advance(0.0, Pose::default()).x_m, 0.0);
         }
     }
 
@@ -304,7 +346,7 @@ mod tests {
             let config = layers.resolve().unwrap();
             let mut reference = Reference::new(&config);
             let end = (0..config.ticks()).find(|tick| {
-                reference.advance(*tick, Pose::default());
+                reference.advance(*tick as f64, Pose::default());
                 reference.at_end()
             });
             let rest_s = config.drive.loop_time_s - 0.01 * end.unwrap() as f64;
@@ -320,7 +362,7 @@ mod tests {
     fn an_even_profile_is_a_set_speed() {
         let (mut profile, mut set) = (straight(1.0, |_| 1.5), straight(1.0, |_| 1.5));
         Arc::make_mut(&mut set.plan).timetable = None;
-        for tick in 0..700 {
+        for tick in (0..700).map(f64::from) {
             let apart_m =
                 profile.advance(tick, Pose::default()).x_m - set.advance(tick, Pose::default()).x_m;
             assert!(apart_m.abs() < 1e-12);
@@ -328,11 +370,74 @@ mod tests {
         }
     }
 
+    /// A reference on this path, for a car with a wheelbase of 1 m: it looks within 7 m first, and reaches 4 m.
+    fn on(pieces: &str) -> Reference {
+        lane_change(&[&format!("path.pieces={pieces}"), "vehicle.wheelbase_m=1.0"])
+    }
+
+    fn at(x_m: f64, y_m: f64, yaw_rad: f64) -> Pose {
+        Pose { x_m, y_m, yaw_rad }
+    }
+
+    const BACK_RAD: f64 = std::f64::consts::PI;
+    const HAIRPIN: &str = "[{kind='straight',length_m=12.0},{kind='arc',radius_m=0.8,angle_deg=180.0},\
+        {kind='straight',length_m=12.0}]";
+
+    #[test]
+    fn a_vehicle_stands_on_the_leg_that_its_heading_fits() {
+        let hairpin = on(HAIRPIN);
+        let leg_m = |pose, near_m| hairpin.leg_m(pose, near_m).unwrap();
+        // Nearer to the leg back, which is 1.6 m beside the leg there.
+        assert!((leg_m(at(6.0, 1.0, 0.1), 6.0) - 6.0).abs() < 1e-9);
+        assert!((leg_m(at(6.0, 1.0, 0.1), 20.0) - 6.0).abs() < 1e-9);
+        let back_m = hairpin.path().length_m() - 6.0;
+        assert!((leg_m(at(6.0, 0.6, BACK_RAD + 0.1), 6.0) - back_m).abs() < 1e-9);
+        // A yaw that has wrapped is the same heading.
+        assert!((leg_m(at(6.0, 0.6, -BACK_RAD), 6.0) - back_m).abs() < 1e-9);
+        assert_eq!(hairpin.projection_m(at(6.0, 1.0, 0.1)), 6.0);
+    }
+
+    #[test]
+    fn a_vehicle_that_no_leg_fits_stands_on_none() {
+        let straight = on("[{kind='straight',length_m=50.0}]");
+        assert_eq!(straight.leg_m(at(6.0, 0.0, BACK_RAD), 6.0), None);
+        assert_eq!(straight.leg_m(at(6.0, 4.1, 0.0), 6.0), None);
+        assert!(straight.leg_m(at(6.0, 3.9, 0.0), 6.0).is_some());
+        // Farther along than it looks first, and where the window's edge is the nearest point but not the place.
+        assert_eq!(straight.leg_m(at(30.0, 0.0, 0.0), 6.0), Some(30.0));
+        assert_eq!(straight.leg_m(at(14.0, 0.0, 0.0), 6.0), Some(14.0));
+        // Off the legs it is the nearest place, as where there is no choice.
+        assert_eq!(straight.projection_m(at(6.0, 0.0, BACK_RAD)), 6.0);
+    }
+
+    #[test]
+    fn on_a_path_that_returns_to_its_start_a_vehicle_is_looked_for_where_it_was() {
+        let loop_m = std::f64::consts::TAU * 10.0;
+        let circle = on("[{kind='arc',radius_m=10.0,angle_deg=360.0}]");
+        for (near_m, expected_m) in
+            [(0.0, 0.0), (20.0, 0.0), (loop_m - 20.0, loop_m), (loop_m, loop_m)]
+        {
+            let found_m = circle.leg_m(at(0.0, 0.0, 0.0), near_m).unwrap();
+            assert!((found_m - expected_m).abs() < 1e-6, "{near_m}: {found_m}");
+        }
+        // Just behind the start, and far from the reference.
+        assert_eq!(circle.leg_m(at(-0.1, 0.0, 0.0), 25.0), Some(0.0));
+        assert_eq!(circle.leg_m(at(0.0, -50.0, 0.0), 0.0), None);
+    }
+
+    #[test]
+    fn a_phase_need_not_be_whole() {
+        let mut reference = lane_change(&[]);
+        reference.advance(150.5, Pose::default());
+        assert!((reference.along_m() - (0.75 + 1.5 * 0.505)).abs() < 1e-12);
+        assert_eq!((reference.speed_mps(150.5), reference.speed_mps(50.5)), (1.5, 1.5 * 0.505));
+    }
+
     #[test]
     fn a_projected_reference_keeps_its_distance() {
         let mut reference =
             lane_change(&["reference.advance=projection", "reference.lookahead_m=0.5"]);
-        let pose = reference.advance(7, Pose { x_m: 0.2, y_m: 0.4, yaw_rad: 0.0 });
+        let pose = reference.advance(7.0, Pose { x_m: 0.2, y_m: 0.4, yaw_rad: 0.0 });
         assert!((pose.x_m - 0.7).abs() < 1e-12 && pose.y_m == 0.0);
     }
 }

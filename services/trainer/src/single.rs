@@ -107,6 +107,7 @@ impl SingleDrive {
             max_cross_track_m: record.max_abs_cross_m,
             steering_travel_radps: record.steering_travel_radps,
             lateral_acceleration_max_mps2: record.lateral_acceleration_max_mps2,
+            fastest: None,
             true_poses: has(report.flags, Odometry::HAS_TRUTH),
             joined: has(report.flags, DriveReport::JOINED),
             switches,
@@ -114,6 +115,21 @@ impl SingleDrive {
             drives_lacking: BTreeMap::new(),
         }
     }
+}
+
+/// Where a recorded drive was fastest, compared with the path's speed.
+pub(crate) fn fastest(config: &RunConfig, rows: &[Row]) -> Option<outcome::Fastest> {
+    let reference = Reference::new(config);
+    let path = reference.path();
+    let mut follower = PathFollower::default();
+    let speeds = rows.iter().map(|row| {
+        follower.distance_m(path, row.x_m, row.y_m);
+        let along_m = follower.along_m(path, row.x_m, row.y_m);
+        let path_speed_mps = reference.path_speed_mps(along_m);
+        outcome::Fastest { speed_mps: row.speed_mps, path_speed_mps }
+    });
+    let share = |it: &outcome::Fastest| it.speed_mps / it.path_speed_mps;
+    speeds.max_by(|a, b| share(a).total_cmp(&share(b)))
 }
 
 /// Names of what was wrong.

@@ -46,6 +46,8 @@ pub(crate) struct Sweeping {
     recorded: Vec<String>,
     /// Ticks that recordings lack, by their names.
     lacking: BTreeMap<String, u64>,
+    /// The last recording.
+    last_rows: Vec<Row>,
 }
 
 impl Sweeping {
@@ -64,7 +66,7 @@ impl Sweeping {
         let is_watched = records || drives.iter().any(|drive| drive.by_zone.len() > 1);
         let step = if is_watched { place.incarnation as u32 } else { 0 };
         let sweep = Sweep::new(first_learner, step, place.ticks, drives);
-        Ok(Self { place, sweep, recorder, unrecorded: Vec::new(), recorded: Vec::new(), lacking: BTreeMap::new() })
+        Ok(Self { place, sweep, recorder, unrecorded: Vec::new(), recorded: Vec::new(), lacking: BTreeMap::new(), last_rows: Vec::new() })
     }
 
     /// The drives that are still wanted, at most as many as one message carries.
@@ -86,6 +88,11 @@ impl Sweeping {
     /// Ticks that recordings lack, by their names.
     pub(crate) fn lacking(&self) -> BTreeMap<String, u64> {
         self.lacking.clone()
+    }
+
+    /// The last recording; empty if there is none.
+    pub(crate) fn last_rows(&self) -> &[Row] {
+        &self.last_rows
     }
 
     /// Takes outcomes; returns how many of them were not wanted.
@@ -135,6 +142,7 @@ impl Sweeping {
                 self.lacking.insert(name.clone(), lacking);
             }
             self.recorded.push(name);
+            self.last_rows = rows;
             self.sweep.take(&report);
         }
         self.unrecorded = waiting;
@@ -170,6 +178,7 @@ impl Sweeping {
             write(&self.place.folder, &name, &rows)?;
             self.recorded.push(name);
         }
+        self.last_rows.clone_from(&rows);
         Ok(rows)
     }
 

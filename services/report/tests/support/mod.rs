@@ -115,7 +115,7 @@ fn drive(config: &RunConfig, parameters: Parameters, seed: Option<u64>) -> Resul
     let mut wrote = Ok(());
     Rollout::new(config).drive_with(parameters, seed, |tick, record| {
         let seen = record.observation;
-        let at = reference.advance(tick, seen.measured);
+        let at = reference.advance(tick as f64, seen.measured);
         let error = tracking_error(at, seen.truth);
         let zones = &config.path.zones;
         let zone = zones.iter().rposition(|zone| zone.from_m <= reference.along_m()).unwrap_or(0);

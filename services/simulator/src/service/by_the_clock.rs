@@ -147,7 +147,8 @@ impl Batch {
             now_ns.saturating_sub(header.supervisor_sent_ns) <= command_age_limit_ns
         });
         for (index, slot) in slots.iter_mut().enumerate() {
-            let command = fresh.filter(|_| !slot.ended).map(|(_, held)| held[index]);
+            // Also behind the end of the drive: then the supervisor brings the vehicle to a stop.
+            let command = fresh.map(|(_, held)| held[index]);
             slot.own_stop = command.is_none() && !slot.ended;
             let (speed_mps, steering_rad) = command.unwrap_or_else(|| {
                 // On from its own last command: one that follows the speed would follow a car that is late to obey.

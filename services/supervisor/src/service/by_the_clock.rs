@@ -7,7 +7,7 @@ use ipc_types::{
 };
 use runtime::clock::now_ns;
 
-use super::{Supervisor, announce};
+use super::{Slot, Supervisor, announce, tell_safety};
 
 /// A batch in real time.
 pub(super) struct Clocked {
@@ -156,9 +156,7 @@ impl Supervisor {
         self.counters.batch = header.attempt.batch;
         self.counters.tick = header.tick + 1;
         let Self { slots, counters, .. } = self;
-        let header =
-            TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now, ..header };
-        self.commands.send(header, slots.len(), |index| {
+        let written = self.commands.write(slots.len(), |index| {
             let slot = &mut slots[index];
             // After a rearm the reference stands still until the controller has heard of it.
             let is_frozen = has(slot.raw.flags, RawCommand::FROZEN);
@@ -166,13 +164,21 @@ impl Supervisor {
             counters.rejected += u64::from(rejected);
             command
         })?;
-        // Reported with every command, because a controller that joins needs the last one.
+        // Before the command, as in lockstep; and with every command, because a controller that joins needs the last one.
         self.tell_law_states(now)?;
-        self.tell_safety(now)
+        let has_reference = self.clocked.as_ref().is_none_or(Clocked::has_reference);
+        tell_safety(&self.safety, self.batch, &self.slots, has_reference)?;
+        // Stamped with the moment for which the gate made it.
+        written.send(|_| TickHeader {
+            supervisor_received_ns: received_ns,
+            supervisor_sent_ns: now,
+            ..header
+        })?;
+        Ok(())
     }
 
     /// Passes on the state that the laws must not lose, once it is known.
-    fn tell_law_states(&mut self, now_ns: u64) -> Result<()> {
+    fn tell_law_states(&self, now_ns: u64) -> Result<()> {
         let Some(Clocked { law_states: kept, .. }) = &self.clocked else { return Ok(()) };
         if !kept.is_empty() {
             let batch = BatchHeader { flags: 0, sent_ns: now_ns, ..self.batch };
@@ -192,19 +198,25 @@ impl Supervisor {
         };
         let faults = clocked.odometry_faults(now_ns(), self.answer_age_limit_ns);
         for rearm in rearm.items() {
-            let slot = self.slots.get_mut(rearm.slot as usize);
-            let rearmed = slot.is_some_and(|slot| slot.watch.rearm(faults));
+            let Some(slot) = self.slots.get_mut(rearm.slot as usize) else {
+                self.counters.dropped += 1;
+                continue;
+            };
+            // The controller looks for the same place when it hears that the vehicle drives on.
+            let leg = self.reference.leg_m(slot.measured, slot.raw.reference_along_m);
+            let rearmed =
+                slot.watch.rearm(faults | if leg.is_some() { 0 } else { Safety::NO_LEG });
             tracing::info!(slot = rearm.slot, rearmed, "rearm");
         }
         Ok(true)
     }
 
     /// When the next command of our own is due, if no answer comes; `None` in lockstep, before the first odometry, and
-    /// when all drives have ended.
+    /// when all drives have ended and all vehicles stand.
     pub(super) fn own_due_ns(&self) -> Option<u64> {
         let clocked = self.clocked.as_ref()?;
         clocked.seen?;
-        if self.slots.iter().all(|slot| slot.ended) {
+        if self.slots.iter().all(Slot::is_at_rest) {
             return None;
         }
         let too_old_ns = clocked.answered_ns + self.answer_age_limit_ns;

@@ -4,7 +4,7 @@ use anyhow::Result;
 use ipc_types::{Odometry, RawCommand, TickHeader, Zone};
 use runtime::Received;
 
-use super::{Supervisor, announce};
+use super::{Supervisor, announce, tell_safety};
 
 impl Supervisor {
     /// Takes the odometry and the answer of a tick, and sends its command. It does all of this for one vehicle after
@@ -21,7 +21,7 @@ impl Supervisor {
         self.counters.batch = header.attempt.batch;
         self.counters.tick = header.tick + 1;
         let (batch, tick_s) = (self.batch, self.tick_s);
-        let Self { slots, entered, zones, counters, .. } = self;
+        let Self { slots, entered, zones, safety, counters, .. } = self;
         let mut tells_safety = false;
         let command = |index: usize| {
             let slot = &mut slots[index];
@@ -33,21 +33,25 @@ impl Supervisor {
                 let from_tick = header.tick + 1;
                 entered.push(Zone { from_tick, slot: index as u32, zone });
             }
-            let state = slot.watch.state();
+            let before = (slot.watch.state(), slot.told_rate);
             let (command, rejected) = slot.command(tick_s, 0, true);
-            tells_safety |= slot.watch.state() != state;
+            slot.told_rate = slot.clock_rate();
+            tells_safety |= (slot.watch.state(), slot.told_rate) != before;
             counters.rejected += u64::from(rejected);
             command
         };
         let command = self.commands.write(raw.len(), command)?;
-        // Before the command: when the vehicle answers the command, the zones must be known.
+        // Before the command: when the vehicle answers the command, zones and rates must be known.
         announce(zones, batch, entered)?;
-        let mut sent_ns = 0;
-        command.send(|now_ns| {
-            sent_ns = now_ns;
-            TickHeader { supervisor_received_ns: received_ns, supervisor_sent_ns: now_ns, ..header }
+        if tells_safety {
+            tell_safety(safety, batch, slots, true)?;
+        }
+        command.send(|now_ns| TickHeader {
+            supervisor_received_ns: received_ns,
+            supervisor_sent_ns: now_ns,
+            ..header
         })?;
-        if tells_safety { self.tell_safety(sent_ns) } else { Ok(()) }
+        Ok(())
     }
 
     /// The odometry that a raw command answers, in lockstep: it came before the command. The first odometry of the next
