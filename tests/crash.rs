@@ -277,24 +277,6 @@ fn a_stopped_training_goes_on_to_the_same_digest() {
 }
 
 #[test]
-fn a_damaged_journal_is_refused_with_its_offset() {
-    let sandbox = Sandbox::new();
-    sandbox.train("out", &["lane_change", "--episodes", "2"]);
-    let journal = sandbox.path("out/journal");
-    let mut bytes = fs::read(&journal).unwrap();
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 1;
-    fs::write(&journal, &bytes).unwrap();
-    let args = ["train", "--resume", "out", "--quiet", "--restart-budget", "0"];
-    let output = sandbox.run(&args);
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(70), "{stderr}");
-    assert!(stderr.contains("damaged at byte"), "{stderr}");
-    assert_eq!(fs::read(&journal).unwrap(), bytes, "the journal was touched");
-    sandbox.assert_clean();
-}
-
-#[test]
 fn what_a_killed_orchestrator_left_is_listed_and_cleaned() {
     let sandbox = Sandbox::new();
     let mut training = sandbox.start_training("out", &TRAINING);

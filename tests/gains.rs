@@ -170,10 +170,15 @@ fn what_is_no_finished_training_is_refused() {
     training.interrupt();
     training.finish();
     promote("living", &["living", "is not a finished training", "--resume living"]);
-    fs::copy(sandbox.path("first/result.json"), sandbox.path("living/result.json")).unwrap();
-    promote("living", &["living", "result.json does not belong to the journal"]);
-    fs::remove_file(sandbox.path("first/journal")).unwrap();
-    promote("first", &["first", "is not a finished training", "journal"]);
+    // A result that is somebody else's, without the trainer's own and with it.
+    let copy = |from: &str, name: &str| {
+        fs::copy(sandbox.path(from).join(name), sandbox.path("living").join(name)).unwrap();
+    };
+    copy("first", "result.json");
+    promote("living", &["living", "is not a finished training", "outcome.json"]);
+    sandbox.train("other", &["lane_change", "--episodes", "1", "--seed", "2"]);
+    copy("other", "outcome.json");
+    promote("living", &["living", "result.json does not belong to outcome.json"]);
     sandbox.assert_clean();
 }
 

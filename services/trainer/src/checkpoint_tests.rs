@@ -13,7 +13,8 @@ const JOURNAL: &str = "journal";
 
 fn config() -> RunConfig {
     let mut layers = Layers::maneuver("lane_change").unwrap();
-    for set in ["learning.episodes=6", "learning.step_limit=12", "run.alphas=[0.1,0.5,0.9]"] {
+    let short = ["learning.episodes=6", "learning.step_limit=12", "learning.bins=8"];
+    for set in short.into_iter().chain(["run.alphas=[0.1,0.5,0.9]"]) {
         layers.set(set).unwrap();
     }
     layers.resolve().unwrap()

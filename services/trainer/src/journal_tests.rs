@@ -16,7 +16,9 @@ fn config(sets: &[&str]) -> RunConfig {
 }
 
 fn short() -> RunConfig {
-    config(&["learning.episodes=3", "learning.step_limit=8", "run.alphas=[0.1,0.5]"])
+    let sets =
+        ["learning.episodes=3", "learning.step_limit=8", "run.alphas=[0.1,0.5]", "learning.bins=8"];
+    config(&sets)
 }
 
 /// Driven once for all tests: then a training takes only microseconds.

@@ -71,9 +71,9 @@ pub struct LearnerState {
     pub best_value: f64,
     /// Number of drives that it received.
     pub drives: u32,
-    /// Number of episodes, or generations, that are over.
+    /// Number of episodes that are over; 0 if the tuner has none.
     pub episodes: u32,
-    /// Number of all episodes.
+    /// Number of all episodes; 0 if the tuner has none, and progress is told by drives.
     pub of_episodes: u32,
 }
 
@@ -158,7 +158,7 @@ mod tests {
 
     fn config(tuner: &str) -> RunConfig {
         let mut layers = Layers::maneuver("lane_change").unwrap();
-        for set in ["learning.episodes=4", "learning.step_limit=9", "run.seed=7"] {
+        for set in ["learning.episodes=4", "learning.step_limit=9", "learning.bins=8", "run.seed=7"] {
             layers.set(set).unwrap();
         }
         layers.set(&format!("learning.tuner={tuner}")).unwrap();
