@@ -147,6 +147,47 @@ fn a_vehicle_of_one_s_own_and_the_dynamic_one() {
 }
 
 #[test]
+fn a_car_that_obeys_late_is_tuned_as_it_is() {
+    let sandbox = Sandbox::new();
+    let guarded = "based_on = 'tesla_model_3_guarded'\nname = 'mine'\ngear_engaged = true\n";
+    let late = "steering_delay_s = 0.15\nsteering_lag_s = 0.1\nspeed_delay_s = 0.15\n";
+    fs::write(sandbox.path("prompt.toml"), guarded).unwrap();
+    fs::write(sandbox.path("late.toml"), format!("{guarded}{late}")).unwrap();
+    let train = |out: &str, car: &str, fleet: &str| {
+        let short = ["--episodes", "4", "--set", "learning.step_limit=20", "--fleet", fleet];
+        let result =
+            sandbox.train(out, &[&["smooth_lane", "--vehicle", car][..], &short].concat());
+        assert_eq!(result["arrived"], true, "{car}: {result}");
+        result
+    };
+    let (prompt, tuned) = (train("prompt", "prompt.toml", "5"), train("late", "late.toml", "5"));
+    assert_eq!(tuned["digest"], train("again", "late.toml", "1")["digest"]);
+    // No set of the grid keeps it as near to the path as the best one keeps a car that obeys at once.
+    let best = |result: &Value| number(&result["grid"]["best_value"]);
+    assert!(best(&tuned) > best(&prompt), "{} {}", best(&tuned), best(&prompt));
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_vehicle_s_file_that_leaves_keys_out_is_told_whose_values_it_has() {
+    let sandbox = Sandbox::new();
+    let told = |text: &str| {
+        fs::write(sandbox.path("car.toml"), text).unwrap();
+        let args = ["drive", "lane_change", "--vehicle", "car.toml", "--gains", "3,21,21,.7"];
+        let output = sandbox.run(&args);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{stderr}");
+        stderr.lines().find(|line| line.contains("another car")).map(str::to_owned)
+    };
+    let line = told("name = 'mine'\nwheelbase_m = 2.5\n").unwrap();
+    for part in ["car.toml", "tesla_model_3", "speed_kp", "steering_delay_s", "based_on ="] {
+        assert!(line.contains(part), "{line:?} lacks {part:?}");
+    }
+    assert_eq!(told("based_on = 'carla'\nname = 'mine'\nwheelbase_m = 2.5\n"), None);
+    sandbox.assert_clean();
+}
+
+#[test]
 fn each_mistake_in_a_path_has_one_line() {
     let sandbox = Sandbox::new();
     let check = |text: &str, parts: &[&str]| {

@@ -429,7 +429,7 @@ fn arc_over(from_m: f64, [x_m, y_m]: [f64; 2], chord: (f64, f64), turn_rad: f64)
 /// of which turns by as much as the curve does.
 fn cosine(from_m: f64, start: Pose, length_m: f64, offset_m: f64) -> Vec<Segment> {
     use std::f64::consts::PI;
-    /// At a metre's length the arcs leave the curve by less than a millimetre, and so do longer ones of a longer curve.
+    /// Short enough that the arcs of a lane change are the curve but for micrometres.
     const ARC_M: f64 = 0.25;
     const MOST_ARCS: f64 = 1000.0;
 
