@@ -120,7 +120,8 @@ fn the_python_vehicle_trains_as_ours_does() {
     let ours = sandbox.train("ours", &["lane_change", "--episodes", "2"]);
     let replaced = format!("vehicle={}", vehicle.join(" "));
     // Its grid is not driven here, which would take it a minute.
-    let args = ["lane_change", "--episodes", "2", "--set", "ranking.max_ticks=0", "--replace", &replaced];
+    let args =
+        ["lane_change", "--episodes", "2", "--set", "ranking.max_ticks=0", "--replace", &replaced];
     let theirs = sandbox.train("theirs", &[&args[..], &["--set", "robust.finalists=1"]].concat());
     assert_eq!(ours["drives"]["asked"], theirs["drives"]["asked"]);
     // By learner and step: the two fleets' drives come back in another order.
@@ -178,12 +179,15 @@ fn figures_are_those_of_the_grid(sandbox: &Sandbox, out: &str, args: &[&str]) ->
     sets.iter().for_each(|set| grid_args.extend(["--gains", set]));
     let grid = sandbox.json(&format!("{out}_grid"), &grid_args);
 
-    let measures = ["value", "distance", "mse_m2", "path_mean_m", "path_p95_m", "path_max_m", "arrived"];
+    let measures =
+        ["value", "distance", "mse_m2", "path_mean_m", "path_p95_m", "path_max_m", "arrived"];
     let ranks = ["rank_value", "rank_distance", "rank_mse", "rank_path"];
     let named = grid["sets"].as_array().unwrap();
     let (paper, named) = named.split_first().unwrap();
     assert_eq!((named.len(), &paper["name"]), (3, &"paper".into()));
-    for (row, of_grid) in rows.into_iter().chain([&trained["paper"]]).zip(named.iter().chain([paper])) {
+    for (row, of_grid) in
+        rows.into_iter().chain([&trained["paper"]]).zip(named.iter().chain([paper]))
+    {
         assert_eq!(row["gains"], of_grid["gains"]);
         for key in measures {
             assert_eq!(row[key], of_grid[key], "{out}: {key} of {}", row["gains"]);
@@ -239,9 +243,25 @@ fn by_the_clock_figures_come_from_finalists_and_the_paper_s_set() {
     let sandbox = Sandbox::new();
     let replaced = format!("vehicle={} --realtime", rust_vehicle().join(" "));
     let output = sandbox.run(&[
-        "train", "lane_change", "--replace", &replaced, "--quiet", "--out", "out", "--episodes", "1", "--alphas", "0.5",
-        "--set", "drive.loop_time_s=0.4", "--set", "learning.step_limit=2", "--set", "robust.finalists=1",
-        "--set", "robust.repeats=2",
+        "train",
+        "lane_change",
+        "--replace",
+        &replaced,
+        "--quiet",
+        "--out",
+        "out",
+        "--episodes",
+        "1",
+        "--alphas",
+        "0.5",
+        "--set",
+        "drive.loop_time_s=0.4",
+        "--set",
+        "learning.step_limit=2",
+        "--set",
+        "robust.finalists=1",
+        "--set",
+        "robust.repeats=2",
     ]);
     assert!(output.status.success(), "{}", sandbox.story("out", &output));
     let result = sandbox.result("out");

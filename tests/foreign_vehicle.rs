@@ -60,13 +60,25 @@ fn figures_of_a_declared_vehicle_of_the_same_plant_are_ours_whatever_dies() {
     let asked = ours["drives"]["asked"].as_u64().unwrap();
     assert!(driven("driven") < asked, "it is remembered: {}", theirs["drives"]);
     // Each set of the grid, the paper's and the tuned one once; those of the training are known.
-    assert!((750..=752).contains(&(driven("for_table") + driven("driven"))), "{}", theirs["drives"]);
+    assert!(
+        (750..=752).contains(&(driven("for_table") + driven("driven"))),
+        "{}",
+        theirs["drives"]
+    );
     let drives = &theirs["vehicle_drives"];
     assert_eq!((&drives["repeats"], &drives["by_clock"]), (&true.into(), &false.into()));
-    assert_eq!((&drives["of_grid_set"], &drives["for_table"]), (&1.into(), &driven("for_table").into()));
+    assert_eq!(
+        (&drives["of_grid_set"], &drives["for_table"]),
+        (&1.into(), &driven("for_table").into())
+    );
 
     // Killed trainers, in the drives for the table too, and a training that is resumed only for the table.
-    let chaos = ["--chaos", "kill trainer@drive=20; kill trainer@drive=120; random:4", "--restart-budget", "100"];
+    let chaos = [
+        "--chaos",
+        "kill trainer@drive=20; kill trainer@drive=120; random:4",
+        "--restart-budget",
+        "100",
+    ];
     sandbox.train("killed", &[&args[..], &chaos].concat());
     assert_eq!(decided(&sandbox, "killed"), decided(&sandbox, "ours"));
     for name in ["result.json", "outcome.json"] {
@@ -74,7 +86,10 @@ fn figures_of_a_declared_vehicle_of_the_same_plant_are_ours_whatever_dies() {
     }
     let again = sandbox.resume_training("theirs", &["--quiet"]).succeed();
     assert_eq!(decided(&sandbox, "theirs"), decided(&sandbox, "ours"));
-    assert_eq!((&again["drives"], &again["vehicle_drives"]), (&theirs["drives"], &theirs["vehicle_drives"]));
+    assert_eq!(
+        (&again["drives"], &again["vehicle_drives"]),
+        (&theirs["drives"], &theirs["vehicle_drives"])
+    );
     sandbox.assert_clean();
 }
 
@@ -83,9 +98,23 @@ fn a_vehicle_that_does_not_repeat_itself_gets_means_with_intervals() {
     let sandbox = Sandbox::new();
     let replaced = vehicle("unsteady_vehicle");
     let output = sandbox.run(&[
-        "train", "lane_change", "--episodes", "1", "--set", "robust.finalists=3", "--set", "robust.repeats=4",
-        "--set", "ranking.repeats=2", "--set", "grid.kv={ min = 1.0, max = 3.0, step = 1.0 }",
-        "--replace", &replaced, "--quiet", "--out", "out",
+        "train",
+        "lane_change",
+        "--episodes",
+        "1",
+        "--set",
+        "robust.finalists=3",
+        "--set",
+        "robust.repeats=4",
+        "--set",
+        "ranking.repeats=2",
+        "--set",
+        "grid.kv={ min = 1.0, max = 3.0, step = 1.0 }",
+        "--replace",
+        &replaced,
+        "--quiet",
+        "--out",
+        "out",
     ]);
     assert!(output.status.success(), "{}", sandbox.story("out", &output));
     let result = sandbox.result("out");
@@ -106,10 +135,13 @@ fn a_vehicle_that_does_not_repeat_itself_gets_means_with_intervals() {
     assert_eq!(result["noise"]["repeats"], 4);
     assert_eq!(result["noise"]["finalists"][0]["gains"], result["gains"]);
     let [of_finalist, of_table] =
-        [&result["noise"]["finalists"][0]["mean_value"], &result["value"]].map(|it| it.as_f64().unwrap());
+        [&result["noise"]["finalists"][0]["mean_value"], &result["value"]]
+            .map(|it| it.as_f64().unwrap());
     assert!((of_finalist - of_table).abs() < 1e-12, "{of_finalist} {of_table}");
     let said = String::from_utf8(output.stdout).unwrap();
-    for part in ["does not repeat itself", "none of our simulator", "over 4 drives", "found by plain Q"] {
+    for part in
+        ["does not repeat itself", "none of our simulator", "over 4 drives", "found by plain Q"]
+    {
         assert!(said.contains(part), "{part:?} is missing in {said}");
     }
     sandbox.assert_clean();
@@ -120,11 +152,23 @@ fn scales_from_the_simulator_s_grid_are_refused_for_another_vehicle() {
     let sandbox = Sandbox::new();
     let replaced = vehicle("fast_vehicle");
     for command in ["train", "validate", "drive"] {
-        let args = [command, "lane_change", "--objective", "weighted", "--replace", &replaced, "--out", "out"];
+        let args = [
+            command,
+            "lane_change",
+            "--objective",
+            "weighted",
+            "--replace",
+            &replaced,
+            "--out",
+            "out",
+        ];
         let output = sandbox.run(&args);
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(64), "{command}: {said}");
-        assert!(said.contains("another vehicle drives here") && said.contains("mse_scale"), "{said}");
+        assert!(
+            said.contains("another vehicle drives here") && said.contains("mse_scale"),
+            "{said}"
+        );
         assert_eq!(said.lines().count(), 1, "{said}");
         assert!(!sandbox.path("out").exists());
     }

@@ -165,8 +165,9 @@ impl Launch {
 
     /// Whether the same request always gives the same drive. An adapter of ours drives a car that is not.
     pub fn repeats(&self) -> bool {
-        let is_adapter =
-            |it: &ProcessEntry| it.role == Role::Vehicle && !it.is_usual() && it.deterministic.is_none();
+        let is_adapter = |it: &ProcessEntry| {
+            it.role == Role::Vehicle && !it.is_usual() && it.deterministic.is_none()
+        };
         self.process.iter().all(|entry| entry.is_deterministic() && !is_adapter(entry))
     }
 

@@ -1,6 +1,9 @@
 //! Checks ranges, and values that must fit together.
 
-use crate::{Advance, Axis, Grid, Limit, Piece, RunConfig, Scale, TunerConfig, Vehicle, VehicleModel, law, points};
+use crate::{
+    Advance, Axis, Grid, Limit, Piece, RunConfig, Scale, TunerConfig, Vehicle, VehicleModel, law,
+    points,
+};
 
 /// The largest fleet that one message carries.
 pub(crate) const MAX_FLEET: u32 = 256;
@@ -220,7 +223,8 @@ fn tuner(tuner: &TunerConfig) -> Result<(), Problem> {
             continue;
         }
         let Some([low, high]) = tuner.ranges.get(name) else {
-            let problem = format!("is missing: the least and the largest value of the setting {name}");
+            let problem =
+                format!("is missing: the least and the largest value of the setting {name}");
             return Err((format!("tuner.ranges.{name}"), problem));
         };
         within(&format!("tuner.settings.{name}"), tuner.settings.number(name), *low, *high)?;

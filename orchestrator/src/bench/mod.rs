@@ -237,7 +237,8 @@ fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {
         let ring = of(Subject::Ring(Transport::SharedMemory, fleet));
         let each_ns = timing.tick_ns / fleet as f64;
         // With --only, what a row is compared with may not have been measured.
-        let shown = |number: f64, count| known(number).map_or("–".to_owned(), |it| digits(it, count));
+        let shown =
+            |number: f64, count| known(number).map_or("–".to_owned(), |it| digits(it, count));
         let us = |ns: f64| shown(ns / 1e3, 2);
         table.add_row([
             subject.name(),

@@ -7,9 +7,7 @@ use config::promote::{self, changes, geometry_difference, large_changes, rollbac
 use config::{
     LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset, read_small,
 };
-use outcome::{
-    OUTCOME_FILE, Outcome, OutcomeError, RESULT_FILE, read_decided, read_result,
-};
+use outcome::{OUTCOME_FILE, Outcome, OutcomeError, RESULT_FILE, read_decided, read_result};
 use serde_json::{Map, Value, json};
 
 use crate::cli::GainsCommand;

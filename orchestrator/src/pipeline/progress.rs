@@ -84,7 +84,7 @@ impl Progress {
         } else {
             self.message(learners, counts)
         };
-        self.put(Words::State { message, of: Some((done, all)) });
+        self.put(Words::State { message, of: (all > 0).then_some((done, all)) });
     }
 
     fn message(&self, learners: &[LearnerProgress], counts: DriveCounts) -> String {
@@ -92,6 +92,11 @@ impl Progress {
         let episodes = learners[0].episodes;
         let epsilon = learners.iter().map(|learner| learner.epsilon).fold(0.0, f64::max);
         let best = learners.iter().map(|learner| learner.best_value).fold(f64::INFINITY, f64::min);
+        if episodes == 0 {
+            let asked: u64 = learners.iter().map(|learner| learner.asked).sum();
+            let speed = self.speed(counts);
+            return format!("{asked} drives asked for  best {} {best:.4}  {speed}", self.objective);
+        }
         let episode = (slowest + 1).min(episodes);
         format!(
             "episode {episode}/{episodes}  epsilon {epsilon:.2}  best {} {best:.4}  {}",
@@ -159,4 +164,21 @@ fn write(words: &Receiver<Words>, is_terminal: bool) {
         }
     }
     bar.finish_and_clear();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tuner_without_episodes_is_told_by_its_drives() {
+        let progress = Progress::new(true, 0.01, "distance");
+        let mut learner =
+            LearnerProgress { asked: 7, best_value: 0.5, ..LearnerProgress::default() };
+        let said = progress.message(&[learner; 2], DriveCounts::default());
+        assert!(said.starts_with("14 drives asked for  best distance 0.5000"), "{said}");
+        (learner.episode, learner.episodes) = (3, 10);
+        let said = progress.message(&[learner; 2], DriveCounts::default());
+        assert!(said.starts_with("episode 4/10  epsilon"), "{said}");
+    }
 }

@@ -39,7 +39,8 @@ pub(crate) fn check_commands(launch: &Launch) -> Result<(), Failure> {
 
 /// Checks that the objective needs no drives of the grid that only our simulator could make before the first drive.
 pub(crate) fn check_scales(config: &RunConfig, launch: &Launch) -> Result<(), Failure> {
-    let (Some(key), Some(role)) = (config.scale_from_grid(), launch.first_of_ring_not_ours()) else {
+    let (Some(key), Some(role)) = (config.scale_from_grid(), launch.first_of_ring_not_ours())
+    else {
         return Ok(());
     };
     let name = role.name();

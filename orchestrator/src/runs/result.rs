@@ -5,12 +5,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use config::RunConfig;
-use outcome::{Drives, Outcome, OUTCOME_FILE, RESULT_FILE, Run, RunDrives, RunResult, SingleDrive, read_decided, to_json};
+use outcome::{
+    Drives, OUTCOME_FILE, Outcome, RESULT_FILE, Run, RunDrives, RunResult, SingleDrive,
+    read_decided, to_json,
+};
 
 use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::runs::running::RunFacts;
-use crate::words::terminal::{say, tell};
 use crate::words::tables::in_words;
+use crate::words::terminal::{say, tell};
 use crate::words::{Failure, tables};
 
 /// A run that has ended.
@@ -61,7 +64,9 @@ fn why_not_arrived(drive: &SingleDrive, config: &RunConfig) -> Option<String> {
         "time" => Some(format!("its time was over {place} (drive.loop_time_s)")),
         "collision" => Some(format!("a collision {place}")),
         "held" => Some(format!("the vehicle did not follow, {place} (reference.wait_limit_s)")),
-        _ => Some(format!("the gate stopped the vehicle {place}: {}", in_words(&drive.stopped_for))),
+        _ => {
+            Some(format!("the gate stopped the vehicle {place}: {}", in_words(&drive.stopped_for)))
+        }
     }
 }
 
@@ -69,11 +74,15 @@ fn why_not_arrived(drive: &SingleDrive, config: &RunConfig) -> Option<String> {
 fn tell_losses(result: &RunResult, is_recorded: bool) {
     match &result.run.recording {
         Some(recording) => recording.told().iter().for_each(|line| tell!("pathtune: {line}")),
-        None if is_recorded => tell!("pathtune: the recorder was killed: the recording lacks its end"),
+        None if is_recorded => {
+            tell!("pathtune: the recorder was killed: the recording lacks its end")
+        }
         None => {}
     }
     for (name, ticks) in result.decided.outcome.drives_lacking() {
-        tell!("pathtune: drives/{name}.csv lacks {ticks} ticks: not every process sent a message of them");
+        tell!(
+            "pathtune: drives/{name}.csv lacks {ticks} ticks: not every process sent a message of them"
+        );
     }
 }
 
@@ -131,8 +140,16 @@ fn drives_of(outcome: &Outcome, config: &RunConfig) -> Drives {
 
 fn of_run(config: &RunConfig, facts: &RunFacts) -> Run {
     let RunFacts { started_at, ended_at, pipeline } = facts;
-    let PipelineFacts { counts, processes, recovery, wall_s, tick_ns, recording, waiting, stopped_by: _ } =
-        pipeline;
+    let PipelineFacts {
+        counts,
+        processes,
+        recovery,
+        wall_s,
+        tick_ns,
+        recording,
+        waiting,
+        stopped_by: _,
+    } = pipeline;
     let vehicle_s = counts.ticks as f64 * config.drive.tick_s;
     let time = |at: &jiff::Timestamp| at.strftime("%Y-%m-%dT%H:%M:%S.%3fZ").to_string();
     Run {

@@ -160,8 +160,9 @@ fn print_vehicle_drives(
         let within = |it: Interval, count| {
             format!("[{}, {}]", digits(it.low, count), digits(it.high, count))
         };
-        let of_objective = objective_column(config)
-            .map_or(String::new(), |objective| format!("{objective} {}, ", within(spread.value, 4)));
+        let of_objective = objective_column(config).map_or(String::new(), |objective| {
+            format!("{objective} {}, ", within(spread.value, 4))
+        });
         say!(
             "{}: 95 % intervals over {} drives: {of_objective}distance {}, mse {} m², {} m off the path",
             row.name,
@@ -221,7 +222,11 @@ fn print_choice_by_means(
             digits(it.difference, 4),
             digits(it.low, 4),
             digits(it.high, 4),
-            if config.noise.enabled { format!("the same {}", noise.repeats) } else { format!("{} each", noise.repeats) },
+            if config.noise.enabled {
+                format!("the same {}", noise.repeats)
+            } else {
+                format!("{} each", noise.repeats)
+            },
         );
         Ok(())
     };

@@ -173,7 +173,7 @@ pub struct LearnerSummary {
     pub usage: BTreeMap<String, Vec<Usage>>,
     /// Drives that it received.
     pub drives: u32,
-    /// Its episodes, or generations.
+    /// Its episodes; 0 for tuners that have none.
     pub episodes: u32,
     /// Episodes that reached a terminal state.
     pub terminated: u32,

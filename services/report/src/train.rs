@@ -53,7 +53,10 @@ pub(crate) fn sections(
     if let Some(noise) = &train.noise {
         let has_rank = train.grid.is_some_and(|grid| grid.rank_mean.is_some());
         let body = finalists(page, noise, has_rank, config)?;
-        page.section(if config.noise.enabled { "Finalists under noise" } else { "Finalists" }, body);
+        page.section(
+            if config.noise.enabled { "Finalists under noise" } else { "Finalists" },
+            body,
+        );
     }
     Ok(())
 }
@@ -357,10 +360,8 @@ fn finalists(
             .collect();
         let words = "Mean objective of each finalist, with its interval.";
         let picture = intervals("finalists", words, &format!("mean {title}"), &rows)?;
-        let caption = format!(
-            "The finalists: mean {} with its 95 % interval.",
-            config.objective.name
-        );
+        let caption =
+            format!("The finalists: mean {} with its 95 % interval.", config.objective.name);
         Some(page.figure(picture, &caption))
     };
     Ok(html! {

@@ -89,11 +89,8 @@ impl OwnDrives {
 
 /// The set that a training recommends by its own drives alone.
 pub(crate) fn recommended(training: &Training) -> Parameters {
-    let means: HashMap<_, f64> = training
-        .visited()
-        .iter()
-        .map(|set| (set.parameters.to_bits(), set.mean_value))
-        .collect();
+    let means: HashMap<_, f64> =
+        training.visited().iter().map(|set| (set.parameters.to_bits(), set.mean_value)).collect();
     let mean = |set: &Parameters| means.get(&set.to_bits()).copied().unwrap_or(f64::INFINITY);
     training.tuner().recommend(&|a, b| mean(a).total_cmp(&mean(b)).then_with(|| by_values(a, b)))
 }
@@ -160,7 +157,13 @@ mod tests {
     fn equal_drives_have_their_own_value_as_mean_and_no_width() {
         // Whose threefold sum over three is not always the number itself.
         for value in [0.1, 0.7, 1.0 / 3.0, 0.123_456_789_012_345_67] {
-            let one = Measures { value, mse_m2: value, path_max_m: value, arrived: true, ..Measures::default() };
+            let one = Measures {
+                value,
+                mse_m2: value,
+                path_max_m: value,
+                arrived: true,
+                ..Measures::default()
+            };
             assert_eq!(mean_of(&[one; 7]), one);
             let spread = spread_of(&[one; 7]).unwrap();
             assert!((spread.value.high - spread.value.low).abs() < 1e-12);

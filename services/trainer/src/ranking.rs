@@ -140,7 +140,10 @@ impl Ranking {
     /// The figures of a set; `None` if a vehicle that is not our simulator has not driven it.
     pub(crate) fn figures(&self, parameters: &Parameters) -> Option<Figures> {
         let Some(own) = &self.own else {
-            return Some(Figures { measures: self.measures_of(&self.drive(parameters)), spread: None });
+            return Some(Figures {
+                measures: self.measures_of(&self.drive(parameters)),
+                spread: None,
+            });
         };
         let all: Vec<Measures> = own.of(parameters).iter().map(|it| self.measures_of(it)).collect();
         (!all.is_empty()).then(|| Figures { measures: mean_of(&all), spread: spread_of(&all) })

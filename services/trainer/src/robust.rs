@@ -9,8 +9,8 @@ use outcome::{Comparison, Finalist, NoiseChoice};
 use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
-use crate::result::Choice;
 use crate::Training;
+use crate::result::Choice;
 use crate::statistics::{Estimate, mean};
 use crate::sweep::PlannedDrive;
 use crate::training::by_values;
