@@ -163,8 +163,7 @@ message!(
         pub reference_along_m: f64,
         /// Where along the path the reference's clock last started from rest; 0 at the start of a drive.
         pub origin_m: f64,
-        /// How far the reference's clock has run since then, in ticks. It stands still while the gate slows down or
-        /// stops the vehicle.
+        /// How far the reference's clock has run since then, in ticks; see [`Safety::clock_rate`].
         pub phase_ticks: f64,
         /// The bits below, and [`Command::ENDED`].
         pub flags: u32,
@@ -185,7 +184,7 @@ message!(
     pub struct Command {
         /// Forward speed; a negative one only brakes.
         pub speed_mps: f64,
-        /// Wanted yaw rate, as the controller gave it.
+        /// The yaw rate of this speed and this steering angle, v·tan φ/L.
         pub yaw_rate_radps: f64,
         /// Angle of the road wheels, positive to the left.
         pub steering_rad: f64,
@@ -198,7 +197,7 @@ message!(
 
 constants!(
     Command:
-    /// This slot's drive has ended: the vehicle ignores the command, or comes to a stop.
+    /// This slot's drive has ended: in lockstep the vehicle stands still, in real time the command brings it to a stop.
     pub const ENDED: u32 = 1;
     /// The gate lowered the speed to its limit.
     pub const SPEED_LIMITED: u32 = 2;
@@ -221,8 +220,8 @@ constants!(
 );
 
 message!(
-    /// What the gate of one vehicle does, and why. Sent by the supervisor with every command in real time, in lockstep
-    /// when `state` changes; the last one is kept for late joiners.
+    /// What the gate of one vehicle does, and why. Sent by the supervisor before every command in real time, in lockstep
+    /// when `state` or `clock_rate` changes; the last one is kept for late joiners.
     #[name = "pathtune.Safety#cc6e30aa"]
     pub struct Safety {
         /// Tick of the odometry that it rests on.
@@ -237,8 +236,9 @@ message!(
         pub own: u64,
         /// [`RawCommand::phase_ticks`] of the last answer.
         pub phase_ticks: f64,
-        /// The rate at which the reference's clock is to run on from here, in ticks of the clock in a tick of the
-        /// vehicle: 1, or 0 while the gate slows down or stops the vehicle.
+        /// The rate at which the reference's clock is to run on from the tick after `tick`, in ticks of the clock in a
+        /// tick of the vehicle: 1, less while the reference waits for a vehicle that does not follow, and 0 while the
+        /// gate slows down or stops the vehicle.
         pub clock_rate: f64,
         /// [`Safety::NORMAL`] or one of the values that follow it.
         pub state: u32,
@@ -276,6 +276,29 @@ constants!(
     pub const TIME_BACK: u32 = 32;
     /// Bit of `reasons`: the supervisor was restarted, and does not know what was before.
     pub const RESTARTED: u32 = 64;
+    /// Bit of `reasons`: the vehicle is farther from its path than `vehicle.safety.path_distance_limit_m`.
+    pub const PATH_DISTANCE: u32 = 128;
+    /// Bit of `reasons`: its heading differs from the path's by more than `vehicle.safety.path_heading_limit_rad`.
+    pub const PATH_HEADING: u32 = 256;
+    /// Bit of `reasons`: the vehicle turns right when it is told to turn left, and left when it is told to turn right.
+    pub const STEERING_REVERSED: u32 = 512;
+    /// Bit of `reasons`: the vehicle does not turn as its commanded steering angle says.
+    pub const STEERING_IGNORED: u32 = 1024;
+    /// Bit of `reasons`: the vehicle drives faster than it is told to.
+    pub const SPEED_IGNORED: u32 = 2048;
+    /// Bit of `reasons`: the vehicle stands although it is told to drive. It is only told: `state` stays as it is, so
+    /// that a vehicle that something else holds drives on when it is let go.
+    pub const STANDS: u32 = 4096;
+
+    /// Bit of `reasons`: the vehicle was not rearmed, because no leg of the path within its reach fits its heading.
+    pub const NO_LEG: u32 = 1 << 16;
+
+    /// The bits of `reasons` that say something about how the vehicle drives: a stop for one of them ends the drive.
+    pub const OF_THE_DRIVE: u32 = Self::PATH_DISTANCE
+        | Self::PATH_HEADING
+        | Self::STEERING_REVERSED
+        | Self::STEERING_IGNORED
+        | Self::SPEED_IGNORED;
 );
 
 message!(
@@ -459,7 +482,7 @@ message!(
     /// What is remembered of a drive. Sent by the controller when the batch has ended, one a slot.
     ///
     /// Errors are those of the true poses where the vehicle knows them, else of the measured ones.
-    #[name = "pathtune.DriveReport#02c6c037"]
+    #[name = "pathtune.DriveReport#f08ef248"]
     pub struct DriveReport {
         /// The parameters of the request, as [`DriveRequest::parameters`].
         pub parameters: [f64; MAX_PARAMETERS],
@@ -501,6 +524,10 @@ message!(
         pub step: u32,
         /// Why it ended: one of the values below.
         pub reason: u32,
+        /// What the gate stopped the vehicle for, as bits of [`Safety::reasons`]; 0 if it did not.
+        pub stopped_for: u32,
+        /// What it slowed the vehicle down for, or only told, as bits of [`Safety::reasons`].
+        pub slowed_for: u32,
         /// [`Odometry::HAS_TRUTH`] if the errors are those of true poses, and the bits below.
         pub flags: u32,
     }
@@ -514,13 +541,17 @@ constants!(
     pub const GOAL: u32 = 2;
     /// The vehicle reported a collision.
     pub const COLLISION: u32 = 3;
+    /// The vehicle did not follow: the reference had waited for it as long as it may (`reference.wait_limit_s`).
+    pub const HELD: u32 = 4;
+    /// The gate stopped the vehicle, because of how it drove or, in lockstep, for anything else.
+    pub const STOPPED: u32 = 5;
     /// Bit of `flags`: the controller was restarted on the way; errors are those since then.
     pub const JOINED: u32 = 256;
 );
 
 message!(
     /// A finished drive, as the trainer is told of it. Sent by the orchestrator, again when asked again.
-    #[name = "pathtune.DriveOutcome#ac4a0193"]
+    #[name = "pathtune.DriveOutcome#a09d68e4"]
     pub struct DriveOutcome {
         /// The controller's report.
         pub report: DriveReport,
@@ -633,18 +664,57 @@ impl Safety {
         }
     }
 
+    /// The bits of `reasons`, each with its name and what it says.
+    const REASONS: &[(u32, &str, &str)] = &[
+        (Self::COMMAND_STALE, "command_stale", "no answer from the controller"),
+        (Self::COMMAND_INVALID, "command_invalid", "the controller's answer is not finite"),
+        (Self::ODOMETRY_STALE, "odometry_stale", "no odometry"),
+        (Self::ODOMETRY_INVALID, "odometry_invalid", "the odometry is not finite"),
+        (Self::ODOMETRY_JUMP, "odometry_jump", "the measured pose jumped"),
+        (Self::TIME_BACK, "time_back", "the odometry's time went back"),
+        (Self::RESTARTED, "restarted", "the supervisor was restarted while it stopped the vehicle"),
+        (
+            Self::PATH_DISTANCE,
+            "path_distance",
+            "it is too far from the path (vehicle.safety.path_distance_limit_m)",
+        ),
+        (
+            Self::PATH_HEADING,
+            "path_heading",
+            "it heads away from the path (vehicle.safety.path_heading_limit_rad)",
+        ),
+        (
+            Self::STEERING_REVERSED,
+            "steering_reversed",
+            "the car turns right when told to turn left, and left when told to turn right (steering_sign?)",
+        ),
+        (
+            Self::STEERING_IGNORED,
+            "steering_ignored",
+            "it does not turn as its steering angle is commanded",
+        ),
+        (Self::SPEED_IGNORED, "speed_ignored", "it drives faster than it is commanded to"),
+        (
+            Self::STANDS,
+            "stands",
+            "it stands although it is commanded to drive (something holds it, or it ignores commands)",
+        ),
+        (Self::NO_LEG, "no_leg", "no leg of the path within its reach fits its heading"),
+    ];
+
     /// The names of what is wrong, as [`Safety::reasons`] has it.
     pub fn reason_names(reasons: u32) -> Vec<&'static str> {
-        let names = [
-            (Self::COMMAND_STALE, "command_stale"),
-            (Self::COMMAND_INVALID, "command_invalid"),
-            (Self::ODOMETRY_STALE, "odometry_stale"),
-            (Self::ODOMETRY_INVALID, "odometry_invalid"),
-            (Self::ODOMETRY_JUMP, "odometry_jump"),
-            (Self::TIME_BACK, "time_back"),
-            (Self::RESTARTED, "restarted"),
-        ];
-        those(reasons, &names)
+        Self::REASONS.iter().filter(|it| has(reasons, it.0)).map(|it| it.1).collect()
+    }
+
+    /// What is wrong, in words, as [`Safety::reasons`] has it.
+    pub fn describe(reasons: u32) -> Vec<&'static str> {
+        Self::REASONS.iter().filter(|it| has(reasons, it.0)).map(|it| it.2).collect()
+    }
+
+    /// What the reason of this name says, in words.
+    pub fn words_of(name: &str) -> &str {
+        Self::REASONS.iter().find(|it| it.1 == name).map_or(name, |it| it.2)
     }
 }
 

@@ -6,11 +6,16 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+mod faulty;
+
 use config::{Parameters, RunConfig};
-use controller::{Decision, DriveController, Seen};
+use controller::clock::ReferenceClock;
+use controller::{Decision, DriveController, GateWord, Seen};
 use simulator::{Observation, SimulatedVehicle};
-use supervisor::{Movement, Passed, RawCommand, Watch};
-use tracking::{DriveRecord, ZoneTracker};
+use supervisor::{Movement, Pace, Passed, Progress, RawCommand, State, Watch};
+use tracking::{DriveRecord, Pose, ZoneTracker};
+
+pub use faulty::{Fault, FaultyCar};
 
 /// Everything that happened in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,30 +26,67 @@ pub struct TickRecord {
     pub decision: Decision,
     /// What the gate passed.
     pub passed: Passed,
+    /// What the gate reports.
+    pub gate: GateWord,
     /// The zone that applies from the next tick on.
     pub zone: usize,
 }
 
+/// What is driven: our simulated vehicle, or another plant that is computed tick by tick.
+pub trait Plant {
+    /// Puts the tracked point at `start`, at rest, and restarts the noise from its seed, if there is any.
+    fn reset(&mut self, start: Pose, noise_seed: Option<u64>);
+    /// What the sensors report now; called once a tick.
+    fn observe(&mut self) -> Observation;
+    /// Drives one tick with a command: forward speed, and steering angle of the road wheels.
+    fn step(&mut self, speed_mps: f64, steering_rad: f64);
+}
+
+impl Plant for SimulatedVehicle {
+    fn reset(&mut self, start: Pose, noise_seed: Option<u64>) {
+        SimulatedVehicle::reset(self, start, noise_seed);
+    }
+
+    #[inline]
+    fn observe(&mut self) -> Observation {
+        SimulatedVehicle::observe(self)
+    }
+
+    #[inline]
+    fn step(&mut self, speed_mps: f64, steering_rad: f64) {
+        SimulatedVehicle::step(self, speed_mps, steering_rad);
+    }
+}
+
 /// Vehicle, controller, gate and zones of one configuration, to be driven again and again.
 #[derive(Debug, Clone)]
-pub struct Rollout {
-    vehicle: SimulatedVehicle,
+pub struct Rollout<P = SimulatedVehicle> {
+    vehicle: P,
     controller: DriveController,
-    /// A watch over a vehicle at rest, to be copied for each drive.
+    /// A watch over a vehicle at rest and a pace at the start of the path, to be copied for each drive.
     fresh_watch: Watch,
+    fresh_pace: Pace,
     tick_s: f64,
     zones: ZoneTracker,
-    start: tracking::Pose,
+    start: Pose,
     ticks: u64,
 }
 
 impl Rollout {
-    /// The loop of a configuration.
+    /// The loop of a configuration, around our simulated vehicle.
     pub fn new(config: &RunConfig) -> Self {
+        Self::around(SimulatedVehicle::new(config), config)
+    }
+}
+
+impl<P: Plant> Rollout<P> {
+    /// The loop of a configuration, around another plant.
+    pub fn around(vehicle: P, config: &RunConfig) -> Self {
         Self {
-            vehicle: SimulatedVehicle::new(config),
+            vehicle,
             controller: DriveController::new(config),
             fresh_watch: Watch::new(config),
+            fresh_pace: Pace::new(config),
             tick_s: config.drive.tick_s,
             zones: ZoneTracker::new(config),
             start: config.path.start.into(),
@@ -79,14 +121,18 @@ impl Rollout {
     ) -> DriveRecord {
         self.vehicle.reset(self.start, noise_seed);
         self.zones.reset();
-        let mut watch = self.fresh_watch;
+        let mut watch = self.fresh_watch.clone();
+        let mut pace = self.fresh_pace.clone();
+        let mut clock = ReferenceClock::default();
+        let mut rate = None;
         self.controller.reset(by_zone[0], self.ticks);
         let mut zone = 0;
         let mut tick = 0;
         loop {
             let observation = self.vehicle.observe();
+            clock.follow(tick, rate);
             let decision = self.controller.tick(
-                tick,
+                clock.phase(),
                 Seen {
                     measured: observation.measured,
                     speed_mps: observation.speed_mps,
@@ -97,19 +143,28 @@ impl Rollout {
             );
             let raw = decision.command;
             let Observation { measured: pose, speed_mps, yaw_rate_radps, .. } = observation;
-            watch.see(tick, Movement { pose, speed_mps, yaw_rate_radps });
+            watch.see(tick, Movement { pose, speed_mps, yaw_rate_radps }, true);
             let raw = RawCommand {
                 speed_mps: raw.speed_mps,
                 yaw_rate_radps: raw.yaw_rate_radps,
                 steering_rad: raw.steering_rad,
             };
-            let passed = watch.command(self.tick_s, 0, Some(raw));
-            let entered = self.zones.update(observation.measured, decision.reference_along_m);
+            let passed = match decision.ended {
+                None => watch.command(self.tick_s, 0, Some(raw)),
+                Some(_) => watch.end(self.tick_s),
+            };
+            let along_m = decision.reference_along_m;
+            let progress = Progress { asked_mps: raw.speed_mps, along_m, origin_m: 0.0 };
+            pace.update(tick, pose, progress);
+            let gate = gate_word(&watch);
+            self.controller.hear_gate(gate);
+            rate = Some(if watch.state() == State::Normal { pace.rate() } else { 0.0 });
+            let entered = self.zones.update(pose, along_m);
             if entered != zone && by_zone.len() > 1 {
                 self.controller.switch_parameters(by_zone[entered]);
             }
             zone = entered;
-            each(tick, &TickRecord { observation, decision, passed, zone });
+            each(tick, &TickRecord { observation, decision, passed, gate, zone });
             if let Some(ended) = decision.ended {
                 return ended;
             }
@@ -117,6 +172,13 @@ impl Rollout {
             tick += 1;
         }
     }
+}
+
+/// What the controller hears of the gate. In lockstep nobody rearms a vehicle: every stop ends the drive.
+fn gate_word(watch: &Watch) -> GateWord {
+    let (state, reasons) = (watch.state(), watch.safety().reasons);
+    let is_stopped = state.is_latched();
+    GateWord { reasons, is_stopped, stands: state == State::Stopped, is_final: is_stopped }
 }
 
 /// One drive with these parameters of the law; with noise if there is a seed for it.

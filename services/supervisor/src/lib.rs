@@ -6,17 +6,24 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+mod deviation;
 mod gate;
 mod governor;
 mod guard;
+mod mean;
+mod pace;
 mod plausibility;
+mod response;
 #[cfg(feature = "process")]
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
 mod watch;
 
+pub use deviation::Deviation;
 pub use gate::{Change, Gate, Passed, RawCommand};
 pub use governor::SpeedGovernor;
 pub use guard::{Guard, State};
+pub use pace::{Pace, Progress};
 pub use plausibility::{Movement, Plausibility};
+pub use response::Response;
 pub use watch::Watch;

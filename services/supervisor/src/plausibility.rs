@@ -25,17 +25,27 @@ pub struct Plausibility {
     limit_rad: f64,
 }
 
+/// The distance of two poses that noise alone exceeds once in a million times, in standard deviations of the noise on x
+/// and on y: √2·√(2·ln 10⁶).
+const NOISE_REACH: f64 = 7.43;
+
 impl Plausibility {
     /// Believes the first odometry message, if it is finite.
     pub fn new(config: &RunConfig) -> Self {
         let safety = config.vehicle.safety;
+        // The limits are those of the vehicle; simulated noise comes on top.
+        let noise = config.noise;
+        let (noise_m, noise_rad) = match noise.enabled {
+            true => (NOISE_REACH * noise.position_sd_m, 2.0 * noise.heading_half_width_rad),
+            false => (0.0, 0.0),
+        };
         Self {
             last: None,
             tick_s: config.drive.tick_s,
             // The speed is that of the rear axle; the tracked point turns around it.
             reach_m: config.vehicle.tracked_point_m.abs(),
-            limit_m: safety.jump_limit_m,
-            limit_rad: safety.jump_limit_rad,
+            limit_m: safety.jump_limit_m + noise_m,
+            limit_rad: safety.jump_limit_rad + noise_rad,
         }
     }
 

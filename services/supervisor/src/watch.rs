@@ -3,12 +3,18 @@
 use config::RunConfig;
 use ipc_types::Safety;
 
-use crate::{Gate, Guard, Movement, Passed, Plausibility, RawCommand, SpeedGovernor, State};
+use crate::{
+    Deviation, Gate, Guard, Movement, Passed, Plausibility, RawCommand, Response, SpeedGovernor,
+    State,
+};
 
 /// The supervisor of one vehicle.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Watch {
     plausibility: Plausibility,
+    /// `None` where they are not watched.
+    deviation: Option<Deviation>,
+    response: Option<Response>,
     governor: SpeedGovernor,
     guard: Guard,
     gate: Gate,
@@ -26,6 +32,8 @@ impl Watch {
     pub fn new(config: &RunConfig) -> Self {
         Self {
             plausibility: Plausibility::new(config),
+            deviation: Deviation::new(config),
+            response: Response::new(config),
             governor: SpeedGovernor::new(config),
             guard: Guard::new(config),
             gate: Gate::new(config),
@@ -40,20 +48,52 @@ impl Watch {
     /// Goes on with a vehicle that is driving already and of which nothing was known: slowly, until all is well.
     pub fn resume(&mut self, movement: Movement, steering_rad: f64) {
         self.gate.resume(movement.speed_mps, steering_rad);
+        if let Some(response) = &mut self.response {
+            response.resume(self.gate.speed_mps(), self.gate.steering_rad());
+        }
+        if let Some(deviation) = &mut self.deviation {
+            deviation.lose();
+        }
     }
 
-    /// Takes odometry. What is wrong with it, as bits of [`Safety::reasons`]; 0 if it is believed.
-    pub fn see(&mut self, tick: u64, movement: Movement) -> u32 {
+    /// Tells where the reference is, along the path: a vehicle that may be elsewhere than it was is looked for there.
+    pub fn look_near(&mut self, along_m: f64) {
+        if let Some(deviation) = &mut self.deviation {
+            deviation.look_near(along_m);
+        }
+    }
+
+    /// Takes odometry. What is wrong with it, as bits of [`Safety::reasons`]; 0 if it is believed. `obeys`: the vehicle
+    /// follows commands, and does not stop on its own.
+    pub fn see(&mut self, tick: u64, movement: Movement, obeys: bool) -> u32 {
         if self.guard.state() == State::Stopped {
             // The vehicle may have been pushed.
             self.plausibility.forget();
+            if let Some(response) = &mut self.response {
+                response.forgive();
+            }
+            if let Some(deviation) = &mut self.deviation {
+                deviation.lose();
+            }
         }
         self.odometry_faults = self.plausibility.check(tick, movement);
         if self.odometry_faults == 0 {
             self.speed_mps = movement.speed_mps;
             self.allowed_mps = self.governor.allowed_mps(movement.speed_mps);
+            if let Some(deviation) = &mut self.deviation {
+                deviation.see(movement.pose);
+            }
+            if let Some(response) = &mut self.response {
+                response.see(tick, movement, obeys);
+            }
         }
         self.odometry_faults
+    }
+
+    /// What is wrong with how the vehicle drives, as bits of [`Safety::reasons`].
+    fn drive_faults(&self) -> u32 {
+        self.deviation.as_ref().map_or(0, Deviation::faults)
+            | self.response.as_ref().map_or(0, Response::faults)
     }
 
     /// The command at a moment `dt_s` after the last one: the raw command, within limits, or one of the
@@ -66,7 +106,7 @@ impl Watch {
             (None, None) => Safety::COMMAND_STALE,
         };
         let mut faults = faults | missing;
-        faults |= self.odometry_faults;
+        faults |= self.odometry_faults | self.drive_faults();
         let state = self.guard.update(dt_s, faults, self.gate.speed_mps(), self.speed_mps);
         let mut passed = match (state, usable) {
             (State::Normal, Some(usable)) => self.gate.pass(dt_s, self.allowed_mps, usable),
@@ -79,7 +119,21 @@ impl Watch {
         } else {
             self.own += 1;
         }
+        if let Some(response) = &mut self.response {
+            response.tell(passed.speed_mps, passed.steering_rad);
+        }
         passed
+    }
+
+    /// The command at a moment `dt_s` after the last one, once the drive has ended: slower, and straight on. What is
+    /// wrong by then no longer matters.
+    pub fn end(&mut self, dt_s: f64) -> Passed {
+        self.gate.stop(dt_s)
+    }
+
+    /// Whether a vehicle of this speed stands, as it was told to.
+    pub fn stands(&self, measured_mps: f64) -> bool {
+        self.guard.stands(self.gate.speed_mps(), measured_mps)
     }
 
     /// Stops the vehicle for good.
@@ -89,7 +143,7 @@ impl Watch {
 
     /// Lets a stopped vehicle drive again; returns whether it may. `faults` are those of the loop.
     pub fn rearm(&mut self, faults: u32) -> bool {
-        self.guard.rearm(faults | self.odometry_faults)
+        self.guard.rearm(faults | self.odometry_faults | self.drive_faults())
     }
 
     /// The state.
@@ -97,13 +151,12 @@ impl Watch {
         self.guard.state()
     }
 
-    /// What the supervisor reports about itself, the last tick and the reference's clock.
+    /// What the supervisor reports about itself and the last tick.
     pub fn safety(&self) -> Safety {
         Safety {
             steering_rad: self.gate.steering_rad(),
             changed: self.changed,
             own: self.own,
-            clock_rate: if self.guard.state() == State::Normal { 1.0 } else { 0.0 },
             state: self.guard.state().number(),
             reasons: self.guard.reasons(),
             ..Safety::default()

@@ -15,11 +15,15 @@ pub enum EndReason {
     Goal,
     /// The vehicle reported a collision.
     Collision,
+    /// The vehicle did not follow: the reference had waited for it as long as it may.
+    Held,
+    /// The gate stopped the vehicle, because of how it drove.
+    Stopped,
 }
 
 /// The record of a drive.
 ///
-/// Every mean is over the ticks of the drive. If a collision cut the drive short, each tick that it
+/// Every mean is over the ticks of the drive. If a collision or the gate cut the drive short, each tick that was
 /// cut off counts with the last error; otherwise an early crash would be rewarded. Poses are true ones if the vehicle
 /// knows them, otherwise measured ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -57,6 +61,12 @@ pub struct DriveRecord {
     pub steering_travel_radps: f64,
     /// Largest absolute lateral acceleration: speed times yaw rate, as the odometry reports them.
     pub lateral_acceleration_max_mps2: f64,
+    /// What the gate stopped the vehicle for, as bits of its reasons; 0 if it did not.
+    #[serde(default)]
+    pub stopped_for: u32,
+    /// What it slowed the vehicle down for, or only told, as bits of its reasons.
+    #[serde(default)]
+    pub slowed_for: u32,
 }
 
 impl DriveRecord {
@@ -174,7 +184,7 @@ impl DriveRecorder {
         trace: u64,
     ) -> DriveRecord {
         let mut ticks = self.ticks;
-        if reason == EndReason::Collision {
+        if matches!(reason, EndReason::Collision | EndReason::Stopped) {
             let cut_off = full_ticks.saturating_sub(ticks);
             let last = self.last;
             self.weigh(&last, cut_off as f64);
@@ -202,6 +212,8 @@ impl DriveRecorder {
             progress,
             steering_travel_radps: self.steering_travel / (driven * tick_s),
             lateral_acceleration_max_mps2: self.lateral_acceleration_max,
+            stopped_for: 0,
+            slowed_for: 0,
         }
     }
 
@@ -322,6 +334,7 @@ mod tests {
         assert_eq!(crashed.ticks, 2);
         assert_eq!((crashed.mean_abs_cross_m, crashed.path_mean_m), (3.6, 3.6));
         assert_eq!(crashed.path_p95_m, 4.0);
+        assert_eq!(finish(EndReason::Stopped).mean_abs_cross_m, 3.6);
         assert_eq!(finish(EndReason::Goal).mean_abs_cross_m, 2.0);
     }
 

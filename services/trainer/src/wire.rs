@@ -25,6 +25,8 @@ pub(crate) fn record_of(report: &DriveReport) -> DriveRecord {
         reason: match report.reason {
             DriveReport::GOAL => EndReason::Goal,
             DriveReport::COLLISION => EndReason::Collision,
+            DriveReport::HELD => EndReason::Held,
+            DriveReport::STOPPED => EndReason::Stopped,
             _ => EndReason::Time,
         },
         mean_abs_along_m: report.mean_abs_along_m,
@@ -41,5 +43,7 @@ pub(crate) fn record_of(report: &DriveReport) -> DriveRecord {
         progress: report.progress,
         steering_travel_radps: report.steering_travel_radps,
         lateral_acceleration_max_mps2: report.lateral_acceleration_max_mps2,
+        stopped_for: report.stopped_for,
+        slowed_for: report.slowed_for,
     }
 }

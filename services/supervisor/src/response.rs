@@ -1,0 +1,230 @@
+//! Whether the vehicle does what it is told: it steers as its steering angle says and the right way round, drives no
+//! faster than it is told to, and drives at all.
+//!
+//! Commands go through a model of the vehicle before they are compared with its odometry: the steering angle through the
+//! [`SteeringChain`] of the vehicle's file, the speed through how slowly a car may follow. What the odometry shows of the
+//! steering is the single track's angle, tan δ = ω·L/v. Differences count by how long they last, in rad·s and in metres,
+//! so that noise, a lag that no file states and wheels that slip for a moment do not count for much.
+
+use config::RunConfig;
+use ipc_types::Safety;
+use tracking::SteeringChain;
+
+use crate::Movement;
+use crate::mean::Means;
+
+/// Slower than this many wheelbases in a second, or this many m/s, the yaw rate says little about the steering.
+const CRAWLS_WHEELBASES_PER_S: f64 = 0.2;
+const CRAWLS_MPS: f64 = 0.3;
+/// Means are smoothed with this time constant, so that steering that goes to and fro faster than an unknown lag allows
+/// does not count.
+const SMOOTHED_OVER_S: f64 = 0.2;
+/// Angles below this do not tell which way round the vehicle steers.
+const CLEAR_RAD: f64 = 0.02;
+/// How much the steering may differ from what it should be: by this share, and by this angle.
+const STEERING_SHARE: f64 = 0.4;
+const STEERING_RAD: f64 = 0.05;
+/// How much steering the wrong way round, and how much beyond that difference, is too much.
+const REVERSED_RAD_S: f64 = 0.015;
+const ASTRAY_RAD_S: f64 = 0.05;
+/// How much faster than told the vehicle may be: by this share, and by this speed.
+const SPEED_SHARE: f64 = 0.25;
+const SPEED_MPS: f64 = 0.3;
+/// How far beyond that is too far, in wheelbases.
+const RUN_WHEELBASES: f64 = 0.2;
+/// A vehicle slows down at least at this share of the stop's deceleration.
+const SLOWING_SHARE: f64 = 0.5;
+/// For how long a vehicle that is told to drive at this speed or faster may stand, once its gear is engaged.
+const STANDS_S: f64 = 2.0;
+const DRIVES_MPS: f64 = 0.2;
+/// Ticks that may be missing before the model of the vehicle starts afresh.
+const LONGEST_GAP: u64 = 100;
+
+/// The response of one vehicle to its commands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Response {
+    steering: SteeringChain,
+    /// The command that the vehicle has, and the tick of the last odometry.
+    speed_mps: f64,
+    steering_rad: f64,
+    tick: Option<u64>,
+    /// Of speed, yaw rate, the model's angle and the commanded speed.
+    means: Means<4>,
+    ticks: u64,
+    /// The highest speed that commands account for by now.
+    ceiling_mps: f64,
+    /// The integral part of the vehicle's speed controller, as its file has it.
+    integral: f64,
+    /// Tangents of the steering angle, smoothed: the model's, and what the odometry shows.
+    told: f64,
+    shown: f64,
+    /// What it showed when it was last told to go straight on; `None` before the vehicle rolls.
+    straight: Option<f64>,
+    reversed_rad_s: f64,
+    astray_rad_s: f64,
+    run_m: f64,
+    stands_s: f64,
+    faults: u32,
+
+    speed_kp: f64,
+    speed_ki: f64,
+    integral_bounds: (f64, f64),
+    tick_s: f64,
+    wheelbase_m: f64,
+    crawls_mps: f64,
+    slowing_mps2: f64,
+    standstill_mps: f64,
+    may_stand_s: f64,
+}
+
+impl Response {
+    /// Before a vehicle at rest; `None` if its response is not watched.
+    pub fn new(config: &RunConfig) -> Option<Self> {
+        let vehicle = &config.vehicle;
+        let gear_s =
+            if vehicle.gear_engaged { 0.0 } else { vehicle.gear_drive_s + vehicle.gear_poll_s };
+        config.watches_response().then(|| Self {
+            steering: SteeringChain::new(vehicle, config.drive.tick_s),
+            speed_mps: 0.0,
+            steering_rad: 0.0,
+            tick: None,
+            means: Means::new(config),
+            ticks: 0,
+            ceiling_mps: 0.0,
+            integral: 0.0,
+            told: 0.0,
+            shown: 0.0,
+            straight: None,
+            reversed_rad_s: 0.0,
+            astray_rad_s: 0.0,
+            run_m: 0.0,
+            stands_s: 0.0,
+            faults: 0,
+            speed_kp: vehicle.speed_kp,
+            speed_ki: vehicle.speed_ki,
+            integral_bounds: (vehicle.speed_integral_min, vehicle.speed_integral_max),
+            tick_s: config.drive.tick_s,
+            wheelbase_m: vehicle.wheelbase_m,
+            crawls_mps: CRAWLS_MPS.max(CRAWLS_WHEELBASES_PER_S * vehicle.wheelbase_m),
+            slowing_mps2: SLOWING_SHARE * vehicle.safety.stop_deceleration_mps2,
+            standstill_mps: vehicle.safety.standstill_mps,
+            may_stand_s: STANDS_S + gear_s,
+        })
+    }
+
+    /// Goes on with a vehicle of which only this is known.
+    pub fn resume(&mut self, speed_mps: f64, steering_rad: f64) {
+        (self.speed_mps, self.steering_rad) = (speed_mps, steering_rad);
+        (self.ceiling_mps, self.integral) = (speed_mps.max(0.0), self.integral_bounds.1);
+        self.settle();
+        self.forgive();
+        self.tick = None;
+    }
+
+    /// Forgets what spoke against the vehicle.
+    pub fn forgive(&mut self) {
+        self.means.restart();
+        (self.straight, self.ticks) = (None, 0);
+        (self.reversed_rad_s, self.astray_rad_s, self.run_m, self.stands_s) = (0.0, 0.0, 0.0, 0.0);
+        self.faults = 0;
+    }
+
+    /// The command with which the vehicle goes on from here.
+    #[inline]
+    pub fn tell(&mut self, speed_mps: f64, steering_rad: f64) {
+        (self.speed_mps, self.steering_rad) = (speed_mps, steering_rad);
+    }
+
+    /// Takes odometry that is believed. `obeys`: the vehicle follows commands; one that stops on its own steers straight.
+    #[inline]
+    pub fn see(&mut self, tick: u64, movement: Movement, obeys: bool) {
+        let ticks = self.tick.map_or(0, |last| tick.saturating_sub(last));
+        self.tick = Some(tick);
+        let steering_rad = if obeys { self.steering_rad } else { 0.0 };
+        if ticks > LONGEST_GAP {
+            self.settle();
+            self.means.restart();
+        } else {
+            for _ in 0..ticks {
+                self.steering.step(steering_rad);
+            }
+        }
+        self.ticks += ticks;
+        let Movement { speed_mps, yaw_rate_radps, .. } = movement;
+        let told_mps = if obeys { self.speed_mps } else { 0.0 };
+        self.raise_ceiling(speed_mps, told_mps, self.tick_s * ticks as f64);
+        let numbers = [speed_mps, yaw_rate_radps, self.steering.angle_rad(), told_mps];
+        if let Some(means) = self.means.add(numbers) {
+            self.judge(means);
+        }
+    }
+
+    /// A vehicle slows down after its command, but not while a speed controller that has wound up pushes on.
+    #[inline]
+    fn raise_ceiling(&mut self, speed_mps: f64, told_mps: f64, lasted_s: f64) {
+        let slowed_mps = self.ceiling_mps - self.slowing_mps2 * lasted_s;
+        // A negative speed only brakes.
+        self.ceiling_mps = slowed_mps.max(told_mps).max(0.0);
+        let (error_mps, (least, most)) = (told_mps - speed_mps, self.integral_bounds);
+        self.integral =
+            (self.integral + self.speed_ki * error_mps * lasted_s).max(least).min(most);
+        if self.speed_kp * error_mps + self.integral > 0.0 {
+            self.ceiling_mps = self.ceiling_mps.max(speed_mps);
+        }
+    }
+
+    /// The model's wheels as they come to stand under the present command.
+    fn settle(&mut self) {
+        for _ in 0..LONGEST_GAP {
+            self.steering.step(self.steering_rad);
+        }
+    }
+
+    fn judge(&mut self, [speed_mps, yaw_rate_radps, angle_rad, told_mps]: [f64; 4]) {
+        let lasted_s = std::mem::take(&mut self.ticks) as f64 * self.tick_s;
+        if speed_mps < self.crawls_mps {
+            self.straight = None;
+        } else {
+            let shown = yaw_rate_radps * self.wheelbase_m / speed_mps;
+            self.judge_steering(libm::tan(angle_rad), shown, lasted_s);
+        }
+        let most_mps = (1.0 + SPEED_SHARE) * self.ceiling_mps + SPEED_MPS;
+        self.run_m = (self.run_m + (speed_mps - most_mps) * lasted_s).max(0.0);
+        let is_told_in_vain = told_mps >= DRIVES_MPS && speed_mps < self.standstill_mps;
+        self.stands_s = if is_told_in_vain { self.stands_s + lasted_s } else { 0.0 };
+
+        let flag = |on: bool, bit: u32| if on { bit } else { 0 };
+        self.faults = flag(self.reversed_rad_s > REVERSED_RAD_S, Safety::STEERING_REVERSED)
+            | flag(self.astray_rad_s > ASTRAY_RAD_S, Safety::STEERING_IGNORED)
+            | flag(self.run_m > RUN_WHEELBASES * self.wheelbase_m, Safety::SPEED_IGNORED)
+            | flag(self.stands_s > self.may_stand_s, Safety::STANDS);
+    }
+
+    fn judge_steering(&mut self, told: f64, shown: f64, lasted_s: f64) {
+        let share = match self.straight {
+            Some(_) => lasted_s / (SMOOTHED_OVER_S + lasted_s),
+            None => 1.0,
+        };
+        self.told += share * (told - self.told);
+        self.shown += share * (shown - self.shown);
+        let (told, shown, size) = (self.told, self.shown, self.told.abs());
+        let straight = match self.straight {
+            Some(straight) if size > CLEAR_RAD => straight,
+            Some(_) => *self.straight.insert(shown),
+            None => *self.straight.insert(if size > CLEAR_RAD { 0.0 } else { shown }),
+        };
+        // Turned as far as it should be, but to the other side, within the tolerance.
+        let turned = shown - straight;
+        let is_reversed = size > CLEAR_RAD && (told + turned).abs() < STEERING_SHARE * size;
+        let sign = if is_reversed { 1.0 } else { -1.0 };
+        self.reversed_rad_s = (self.reversed_rad_s + sign * size * lasted_s).max(0.0);
+        let beyond = (shown - told).abs() - STEERING_SHARE * size - STEERING_RAD;
+        self.astray_rad_s =
+            (self.astray_rad_s + beyond * lasted_s).clamp(0.0, 2.0 * ASTRAY_RAD_S);
+    }
+
+    /// Bits of [`Safety::reasons`]: what the vehicle does not do as it is told.
+    pub fn faults(&self) -> u32 {
+        self.faults
+    }
+}
