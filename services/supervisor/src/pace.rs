@@ -83,7 +83,7 @@ impl Pace {
     #[inline]
     pub fn update(&mut self, tick: u64, measured: Pose, progress: Progress) {
         if let Some(waiting) = &mut self.waiting
-            && let Some(wanted) = waiting.look(tick, measured, progress, &mut self.rate)
+            && let Some(wanted) = waiting.look(tick, measured, progress)
             && (wanted - self.rate).abs() >= 1.0 / STEPS
         {
             self.rate = (wanted * STEPS).round() / STEPS;
@@ -93,17 +93,11 @@ impl Pace {
 
 impl Waiting {
     /// Takes one tick; the rate that fits the ticks since the last look, if it is time to look.
-    fn look(
-        &mut self,
-        tick: u64,
-        measured: Pose,
-        progress: Progress,
-        rate: &mut f64,
-    ) -> Option<f64> {
+    fn look(&mut self, tick: u64, measured: Pose, progress: Progress) -> Option<f64> {
         let Progress { asked_mps, along_m, origin_m } = progress;
         if self.origin_m != Some(origin_m) {
-            // A drive begins, is joined, or goes on after a stop.
-            (*rate, self.origin_m, self.next_look) = (1.0, Some(origin_m), tick);
+            // A drive begins, is joined, or goes on after a stop: it looks at once.
+            (self.origin_m, self.next_look) = (Some(origin_m), tick);
             (self.asked_mps, self.count) = (0.0, 0.0);
             self.follower = PathFollower::new(self.reference.path(), along_m);
         }
