@@ -3,6 +3,7 @@
 pub(crate) mod failure;
 pub(crate) mod tables;
 pub(crate) mod terminal;
+mod training;
 
 pub use failure::Failure;
 pub(crate) use failure::known;

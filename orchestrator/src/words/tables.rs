@@ -8,18 +8,17 @@ use comfy_table::{CellAlignment, Table};
 use config::{LawConfig, NamedParameters, RunConfig};
 use ipc_types::Safety;
 use outcome::{
-    Comparison, GridResult, Interval, MainEffect, Measures, NoiseChoice, Outcome, RankedSet, Run,
-    RunResult, SetStanding, SingleDrive, Spread, TrainResult, ValidateResult, ValidatedRow,
-    VehicleDrives, Verdict,
+    GridResult, MainEffect, Measures, Outcome, RankedSet, Run, RunResult, SetStanding, SingleDrive,
+    ValidateResult, ValidatedRow,
 };
 
-use crate::words::Failure;
 use crate::words::terminal::say;
+use crate::words::{Failure, training};
 
 /// Prints the tables of a run, and what else is worth knowing about it.
 pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
     match &result.decided.outcome {
-        Outcome::Train(it) => print_training(it, result, config)?,
+        Outcome::Train(it) => training::print(it, result, config)?,
         Outcome::Validate(it) => print_validation(it, config)?,
         Outcome::Grid(it) => print_grid(it, config)?,
         Outcome::Drive(it) => print_drive(it, config)?,
@@ -29,214 +28,14 @@ pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(),
     Ok(())
 }
 
-fn print_training(it: &TrainResult, result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
-    let RunResult { drives, run, .. } = result;
-    let grid_size = it.grid.map_or(0, |grid| grid.size);
-    let measures = MeasureColumns::new(config, it.grid.is_some());
-    let ranks = it.grid.map_or(Ranks::default(), |grid| Ranks {
-        value: Some(grid.rank_value),
-        distance: Some(grid.rank_distance),
-        mse: Some(grid.rank_mse),
-        path: Some(grid.rank_path),
-    });
-    let mut rows = vec![TrainingRow {
-        name: format!("tuned ({})", it.tuner),
-        gains: &it.gains,
-        measures: &it.measures,
-        spread: it.spread,
-        off_grid: it.off_grid,
-        ranks,
-    }];
-    rows.extend(it.paper.as_ref().map(|set| TrainingRow::of("the paper's set", set)));
-    let found = [("found by plain Q", &it.plain_q), ("found by a random walk", &it.random_walk)];
-    let found = found.into_iter().filter_map(|(name, it)| Some((name, &it.as_ref()?.set)));
-    rows.extend(found.map(|(name, set)| TrainingRow::of(name, set)));
-
-    let mut table = table_of(&header("", &config.law, measures.header()));
-    for row in &rows {
-        let mut cells = vec![row.name.clone()];
-        cells.extend(set_cells(&config.law, std::slice::from_ref(row.gains)));
-        cells.extend(measures.cells(row.measures, row.ranks, size_with(grid_size, row.off_grid)));
-        table.add_row(cells);
-    }
-    say!("{table}");
-
-    if let Some(drives) = &it.vehicle_drives {
-        print_vehicle_drives(drives, &rows, config)?;
-    }
-    match (&it.grid, &it.vehicle_drives) {
-        (Some(grid), _) => {
-            let of_objective = objective_column(config).map_or(String::new(), |objective| {
-                format!("{objective} {}, ", digits(grid.best_value, 4))
-            });
-            say!(
-                "ranks among all {} sets of the grid, noise-free; its best: {of_objective}distance {}, mse {} m², {} m off \
-                 the path",
-                grid.size,
-                digits(grid.best_distance, 4),
-                digits(grid.best_mse_m2, 4),
-                digits(grid.best_path_mean_m, 4),
-            );
-            note_off_grid(rows.iter().any(|row| row.off_grid), grid.size)?;
-        }
-        (None, Some(drives)) if drives.by_clock => say!(
-            "not ranked: the vehicle paces by the clock, so the {} sets of the grid are not driven",
-            config.grid().len()
-        ),
-        (None, _) => say!(
-            "not ranked: the grid of {} sets takes more ticks than ranking.max_ticks",
-            config.grid().len()
-        ),
-    }
-    if !it.on_bound.is_empty() {
-        let bounds = it.on_bound.join(", ");
-        say!("on a bound of the grid: {bounds}; better gains may lie beyond it");
-    }
-    if let Some(noise) = &it.noise {
-        let rank = it.grid.and_then(|grid| Some((grid.rank_mean?, grid.size)));
-        print_choice_by_means(noise, rank, config)?;
-    }
-    let beside = [("plain Q", &it.plain_q), ("the random walk", &it.random_walk)];
-    let beside: Vec<String> = beside
-        .iter()
-        .filter_map(|(name, beside)| Some(format!("{} by {name}", beside.as_ref()?.asked)))
-        .collect();
-    let beside = match beside.is_empty() {
-        true => String::new(),
-        false => format!(" ({})", beside.join(", ")),
-    };
-    let for_table = match drives.for_table {
-        0 => String::new(),
-        count => format!(", {count} more for this table"),
-    };
-    say!(
-        "{} drives asked for{beside}, {} driven{for_table}, {} again after a crash; the grid holds {}",
-        drives.asked,
-        drives.driven,
-        run.drives.reissued,
-        config.grid().len(),
-    );
-    Ok(())
-}
-
-/// A row of the table of a training.
-struct TrainingRow<'a> {
-    name: String,
-    gains: &'a NamedParameters,
-    measures: &'a Measures,
-    spread: Option<Spread>,
-    off_grid: bool,
-    ranks: Ranks,
-}
-
-impl<'a> TrainingRow<'a> {
-    fn of(name: &str, set: &'a SetStanding) -> Self {
-        let SetStanding { gains, measures, spread, off_grid, .. } = set;
-        let (spread, off_grid) = (*spread, *off_grid);
-        Self { name: name.to_owned(), gains, measures, spread, off_grid, ranks: Ranks::of(set) }
-    }
-}
-
-/// Says whose drives the figures are, and how certain they are if the vehicle does not repeat itself.
-fn print_vehicle_drives(
-    drives: &VehicleDrives,
-    rows: &[TrainingRow],
-    config: &RunConfig,
-) -> Result<(), Failure> {
-    if drives.repeats {
-        say!("all figures are of drives that the vehicle made, none of our simulator");
-        return Ok(());
-    }
-    let of_grid = match drives.of_grid_set {
-        0 => String::new(),
-        count => format!("; each other set of the grid was driven {count} times"),
-    };
-    say!(
-        "all figures are means over drives that the vehicle made, none of our simulator{of_grid}\nthe vehicle does not \
-         repeat itself: the same training comes to another result and digest the next time"
-    );
-    for row in rows {
-        let Some(spread) = &row.spread else { continue };
-        let within = |it: Interval, count| {
-            format!("[{}, {}]", digits(it.low, count), digits(it.high, count))
-        };
-        let of_objective = objective_column(config).map_or(String::new(), |objective| {
-            format!("{objective} {}, ", within(spread.value, 4))
-        });
-        say!(
-            "{}: 95 % intervals over {} drives: {of_objective}distance {}, mse {} m², {} m off the path",
-            row.name,
-            spread.drives,
-            within(spread.distance, 4),
-            within(spread.mse_m2, 4),
-            within(spread.path_mean_m, 4),
-        );
-    }
-    Ok(())
-}
-
 /// How many sets a rank is among: those of the grid, and the set itself if it is none of them.
-fn size_with(grid_size: usize, off_grid: bool) -> usize {
+pub(super) fn size_with(grid_size: usize, off_grid: bool) -> usize {
     grid_size + usize::from(off_grid)
 }
 
-fn note_off_grid(any: bool, size: usize) -> Result<(), Failure> {
+pub(super) fn note_off_grid(any: bool, size: usize) -> Result<(), Failure> {
     if any {
         say!("of {}: a set between those of the grid, ranked as one more", size + 1);
-    }
-    Ok(())
-}
-
-/// Prints how the set was chosen by means, and how certain that choice is. `rank` is its place, and among how many.
-fn print_choice_by_means(
-    noise: &NoiseChoice,
-    rank: Option<(usize, usize)>,
-    config: &RunConfig,
-) -> Result<(), Failure> {
-    let Some(chosen) = noise.finalists.first() else { return Ok(()) };
-    let objective = &config.objective.name;
-    let under_noise = if config.noise.enabled { "under noise: " } else { "" };
-    say!(
-        "{under_noise}mean {objective} {} [{}, {}] over {} drives, the best of {} sets driven again",
-        digits(chosen.mean_value, 4),
-        digits(chosen.low, 4),
-        digits(chosen.high, 4),
-        noise.repeats,
-        noise.finalists.len(),
-    );
-    if config.noise.enabled && config.vehicle.gear_engaged {
-        say!("all drives, noise-free ones too, began with the drive gear engaged");
-    }
-    let against = |name: &str, it: &Comparison| -> Result<(), Failure> {
-        if it.gains == chosen.gains {
-            return Ok(());
-        }
-        let verdict = match it.verdict {
-            Verdict::Better => "better than",
-            Verdict::Worse => "worse than",
-            Verdict::Undecided => "not distinguishable from",
-        };
-        say!(
-            "{verdict} {name}: {} {} [{}, {}] over {} drives",
-            if config.noise.enabled { "paired difference" } else { "difference" },
-            digits(it.difference, 4),
-            digits(it.low, 4),
-            digits(it.high, 4),
-            if config.noise.enabled {
-                format!("the same {}", noise.repeats)
-            } else {
-                format!("{} each", noise.repeats)
-            },
-        );
-        Ok(())
-    };
-    against("what single drives recommend", &noise.against_recommended)?;
-    if let Some(paper) = &noise.against_paper {
-        against("the paper's set", paper)?;
-    }
-    if let Some((rank, size)) = rank {
-        let seeds = noise.holdout;
-        say!("rank {rank} of {size} by the mean {objective} over {seeds} other noise seeds");
     }
     Ok(())
 }
@@ -480,7 +279,7 @@ fn print_how_it_went(run: &Run) -> Result<(), Failure> {
 }
 
 /// Name of the objective, if its value is not that of another column.
-fn objective_column(config: &RunConfig) -> Option<&str> {
+pub(super) fn objective_column(config: &RunConfig) -> Option<&str> {
     let objective = &config.objective;
     let is_a_column = ["distance", "mse", "path", "path_max"].contains(&&*objective.name);
     // With a cap, a drive that does not arrive has another value than its column shows.
@@ -489,7 +288,7 @@ fn objective_column(config: &RunConfig) -> Option<&str> {
 
 /// Columns for the measures of a drive.
 #[derive(Clone, Copy)]
-struct MeasureColumns<'a> {
+pub(super) struct MeasureColumns<'a> {
     /// The objective's value comes first, under this name.
     objective: Option<&'a str>,
     /// Each is followed by its rank in the grid.
@@ -499,12 +298,12 @@ struct MeasureColumns<'a> {
 }
 
 impl<'a> MeasureColumns<'a> {
-    fn new(config: &'a RunConfig, ranked: bool) -> Self {
+    pub(super) fn new(config: &'a RunConfig, ranked: bool) -> Self {
         let arrival = config.objective.cap_wheelbases > 0.0;
         Self { objective: objective_column(config), ranked, arrival }
     }
 
-    fn header(self) -> impl Iterator<Item = &'a str> {
+    pub(super) fn header(self) -> impl Iterator<Item = &'a str> {
         let rank = self.ranked.then_some("rank");
         let judged =
             self.objective.into_iter().chain(["distance", "mse m²", "off the path: mean m"]);
@@ -512,7 +311,7 @@ impl<'a> MeasureColumns<'a> {
         judged.chain(["p95 m", "max m"]).chain(self.arrival.then_some("arrived"))
     }
 
-    fn cells(self, it: &Measures, ranks: Ranks, size: usize) -> Vec<String> {
+    pub(super) fn cells(self, it: &Measures, ranks: Ranks, size: usize) -> Vec<String> {
         let rank =
             |rank: Option<usize>| rank.map_or("–".to_owned(), |it| format!("{it} of {size}"));
         let mut cells = Vec::new();
@@ -534,15 +333,15 @@ impl<'a> MeasureColumns<'a> {
 
 /// Ranks of a set among all of the grid.
 #[derive(Debug, Clone, Copy, Default)]
-struct Ranks {
-    value: Option<usize>,
-    distance: Option<usize>,
-    mse: Option<usize>,
-    path: Option<usize>,
+pub(super) struct Ranks {
+    pub(super) value: Option<usize>,
+    pub(super) distance: Option<usize>,
+    pub(super) mse: Option<usize>,
+    pub(super) path: Option<usize>,
 }
 
 impl Ranks {
-    fn of(set: &SetStanding) -> Self {
+    pub(super) fn of(set: &SetStanding) -> Self {
         Self {
             value: set.rank_value,
             distance: set.rank_distance,
@@ -553,7 +352,7 @@ impl Ranks {
 }
 
 /// A title, the symbol of each parameter, and further columns.
-fn header<'a>(
+pub(super) fn header<'a>(
     title: &'a str,
     law: &'a LawConfig,
     columns: impl IntoIterator<Item = &'a str>,

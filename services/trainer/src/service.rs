@@ -226,8 +226,7 @@ impl Trainer {
         let mut outcomes: Vec<&DriveOutcome> = outcomes.iter().collect();
         outcomes.sort_by_key(|outcome| outcome.report.learner);
         let mut taken = Vec::with_capacity(outcomes.len());
-        for DriveOutcome { report, attempt } in outcomes {
-            self.counters.batch = attempt.batch;
+        for DriveOutcome { report, .. } in outcomes {
             let drive = record_of(report);
             // Asking again would bring the same report again.
             ensure!(drive.is_plausible(), "impossible numbers in a drive report: {report:?}");
@@ -304,6 +303,9 @@ impl Service for Trainer {
         if !outcomes.header().attempt.is_of(self.run) {
             self.counters.dropped += 1;
             return Ok(true);
+        }
+        if let Some(outcome) = outcomes.items().last() {
+            self.counters.batch = outcome.attempt.batch;
         }
         match self.stage.sweeping() {
             Some(sweeping) => {

@@ -1,0 +1,219 @@
+//! The table at the end of a training.
+
+use config::{NamedParameters, RunConfig};
+use outcome::{
+    Comparison, Interval, Measures, NoiseChoice, RunResult, SetStanding, Spread, TrainResult,
+    VehicleDrives, Verdict,
+};
+
+use crate::words::Failure;
+use crate::words::tables::{
+    MeasureColumns, Ranks, digits, header, note_off_grid, objective_column, set_cells, size_with,
+    table_of,
+};
+use crate::words::terminal::say;
+
+/// Prints the table of a training, whose figures they are, and how the set was chosen.
+pub(super) fn print(
+    it: &TrainResult,
+    result: &RunResult,
+    config: &RunConfig,
+) -> Result<(), Failure> {
+    let RunResult { drives, run, .. } = result;
+    let grid_size = it.grid.map_or(0, |grid| grid.size);
+    let measures = MeasureColumns::new(config, it.grid.is_some());
+    let ranks = it.grid.map_or(Ranks::default(), |grid| Ranks {
+        value: Some(grid.rank_value),
+        distance: Some(grid.rank_distance),
+        mse: Some(grid.rank_mse),
+        path: Some(grid.rank_path),
+    });
+    let mut rows = vec![TrainingRow {
+        name: format!("tuned ({})", it.tuner),
+        gains: &it.gains,
+        measures: &it.measures,
+        spread: it.spread,
+        off_grid: it.off_grid,
+        ranks,
+    }];
+    rows.extend(it.paper.as_ref().map(|set| TrainingRow::of("the paper's set", set)));
+    let found = [("found by plain Q", &it.plain_q), ("found by a random walk", &it.random_walk)];
+    let found = found.into_iter().filter_map(|(name, it)| Some((name, &it.as_ref()?.set)));
+    rows.extend(found.map(|(name, set)| TrainingRow::of(name, set)));
+
+    let mut table = table_of(&header("", &config.law, measures.header()));
+    for row in &rows {
+        let mut cells = vec![row.name.clone()];
+        cells.extend(set_cells(&config.law, std::slice::from_ref(row.gains)));
+        cells.extend(measures.cells(row.measures, row.ranks, size_with(grid_size, row.off_grid)));
+        table.add_row(cells);
+    }
+    say!("{table}");
+
+    if let Some(drives) = &it.vehicle_drives {
+        print_vehicle_drives(drives, &rows, config)?;
+    }
+    match (&it.grid, &it.vehicle_drives) {
+        (Some(grid), _) => {
+            let of_objective = objective_column(config).map_or(String::new(), |objective| {
+                format!("{objective} {}, ", digits(grid.best_value, 4))
+            });
+            say!(
+                "ranks among all {} sets of the grid, noise-free; its best: {of_objective}distance {}, mse {} m², {} m off \
+                 the path",
+                grid.size,
+                digits(grid.best_distance, 4),
+                digits(grid.best_mse_m2, 4),
+                digits(grid.best_path_mean_m, 4),
+            );
+            note_off_grid(rows.iter().any(|row| row.off_grid), grid.size)?;
+        }
+        (None, Some(drives)) if drives.by_clock => say!(
+            "not ranked: the vehicle paces by the clock, so the {} sets of the grid are not driven",
+            config.grid().len()
+        ),
+        (None, _) => say!(
+            "not ranked: the grid of {} sets takes more ticks than ranking.max_ticks",
+            config.grid().len()
+        ),
+    }
+    if !it.on_bound.is_empty() {
+        let bounds = it.on_bound.join(", ");
+        say!("on a bound of the grid: {bounds}; better gains may lie beyond it");
+    }
+    if let Some(noise) = &it.noise {
+        let rank = it.grid.and_then(|grid| Some((grid.rank_mean?, grid.size)));
+        print_choice_by_means(noise, rank, config)?;
+    }
+    let beside = [("plain Q", &it.plain_q), ("the random walk", &it.random_walk)];
+    let beside: Vec<String> = beside
+        .iter()
+        .filter_map(|(name, beside)| Some(format!("{} by {name}", beside.as_ref()?.asked)))
+        .collect();
+    let beside = match beside.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", beside.join(", ")),
+    };
+    let for_table = match drives.for_table {
+        0 => String::new(),
+        count => format!(", {count} more for this table"),
+    };
+    say!(
+        "{} drives asked for{beside}, {} driven{for_table}, {} again after a crash; the grid holds {}",
+        drives.asked,
+        drives.driven,
+        run.drives.reissued,
+        config.grid().len(),
+    );
+    Ok(())
+}
+
+/// A row of the table of a training.
+struct TrainingRow<'a> {
+    name: String,
+    gains: &'a NamedParameters,
+    measures: &'a Measures,
+    spread: Option<Spread>,
+    off_grid: bool,
+    ranks: Ranks,
+}
+
+impl<'a> TrainingRow<'a> {
+    fn of(name: &str, set: &'a SetStanding) -> Self {
+        let SetStanding { gains, measures, spread, off_grid, .. } = set;
+        let (spread, off_grid) = (*spread, *off_grid);
+        Self { name: name.to_owned(), gains, measures, spread, off_grid, ranks: Ranks::of(set) }
+    }
+}
+
+/// Says whose drives the figures are, and how certain they are if the vehicle does not repeat itself.
+fn print_vehicle_drives(
+    drives: &VehicleDrives,
+    rows: &[TrainingRow],
+    config: &RunConfig,
+) -> Result<(), Failure> {
+    if drives.repeats {
+        say!("all figures are of drives that the vehicle made, none of our simulator");
+        return Ok(());
+    }
+    let of_grid = match drives.of_grid_set {
+        0 => String::new(),
+        count => format!("; each other set of the grid was driven {count} times"),
+    };
+    say!(
+        "all figures are means over drives that the vehicle made, none of our simulator{of_grid}\nthe vehicle does not \
+         repeat itself: the same training comes to another result and digest the next time"
+    );
+    for row in rows {
+        let Some(spread) = &row.spread else { continue };
+        let within = |it: Interval, count| {
+            format!("[{}, {}]", digits(it.low, count), digits(it.high, count))
+        };
+        let of_objective = objective_column(config).map_or(String::new(), |objective| {
+            format!("{objective} {}, ", within(spread.value, 4))
+        });
+        say!(
+            "{}: 95 % intervals over {} drives: {of_objective}distance {}, mse {} m², {} m off the path",
+            row.name,
+            spread.drives,
+            within(spread.distance, 4),
+            within(spread.mse_m2, 4),
+            within(spread.path_mean_m, 4),
+        );
+    }
+    Ok(())
+}
+
+/// Prints how the set was chosen by means, and how certain that choice is. `rank` is its place, and among how many.
+fn print_choice_by_means(
+    noise: &NoiseChoice,
+    rank: Option<(usize, usize)>,
+    config: &RunConfig,
+) -> Result<(), Failure> {
+    let Some(chosen) = noise.finalists.first() else { return Ok(()) };
+    let objective = &config.objective.name;
+    let under_noise = if config.noise.enabled { "under noise: " } else { "" };
+    say!(
+        "{under_noise}mean {objective} {} [{}, {}] over {} drives, the best of {} sets driven again",
+        digits(chosen.mean_value, 4),
+        digits(chosen.low, 4),
+        digits(chosen.high, 4),
+        noise.repeats,
+        noise.finalists.len(),
+    );
+    if config.noise.enabled && config.vehicle.gear_engaged {
+        say!("all drives, noise-free ones too, began with the drive gear engaged");
+    }
+    let against = |name: &str, it: &Comparison| -> Result<(), Failure> {
+        if it.gains == chosen.gains {
+            return Ok(());
+        }
+        let verdict = match it.verdict {
+            Verdict::Better => "better than",
+            Verdict::Worse => "worse than",
+            Verdict::Undecided => "not distinguishable from",
+        };
+        say!(
+            "{verdict} {name}: {} {} [{}, {}] over {} drives",
+            if config.noise.enabled { "paired difference" } else { "difference" },
+            digits(it.difference, 4),
+            digits(it.low, 4),
+            digits(it.high, 4),
+            if config.noise.enabled {
+                format!("the same {}", noise.repeats)
+            } else {
+                format!("{} each", noise.repeats)
+            },
+        );
+        Ok(())
+    };
+    against("what single drives recommend", &noise.against_recommended)?;
+    if let Some(paper) = &noise.against_paper {
+        against("the paper's set", paper)?;
+    }
+    if let Some((rank, size)) = rank {
+        let seeds = noise.holdout;
+        say!("rank {rank} of {size} by the mean {objective} over {seeds} other noise seeds");
+    }
+    Ok(())
+}
