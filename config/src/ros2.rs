@@ -51,6 +51,8 @@ pub enum DriveMessage {
     Stamped,
     /// `ackermann_msgs/AckermannDrive`.
     Bare,
+    /// `geometry_msgs/Twist`, whose yaw rate stands for the angle.
+    Twist,
 }
 
 /// The message that reports a collision.
@@ -179,7 +181,7 @@ mod tests {
             ("vehicle.ros2.drive_topic=''", "\"/car/odom\""),
             ("vehicle.ros2.steering_sign=0", "1 or -1"),
             ("vehicle.ros2.align=road", "road"),
-            ("vehicle.ros2.drive_message=twist", "twist"),
+            ("vehicle.ros2.drive_message=joy", "joy"),
             ("vehicle.ros2.odometry_age_limit_s=0.0", "(0, 10]"),
             ("vehicle.ros2.odometry=x", "did you mean"),
         ] {

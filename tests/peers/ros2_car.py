@@ -33,7 +33,9 @@ def arguments():
     parser.add_argument("--sign", type=float, default=1.0, help="-1: a positive angle steers to the right")
     parser.add_argument("--collision", default="", help="topic of the collisions")
     parser.add_argument("--collides-after", type=float, default=math.inf, help="metres driven")
-    parser.add_argument("--driver", action="store_true", help="is no car, but drives one")
+    parser.add_argument("--habit", default="", help="what its odometry is like: one of HABITS")
+    parser.add_argument("--deaf", action="store_true", help="takes no commands")
+    parser.add_argument("--driver", action="store_true", help="is no car, but could drive one: publishes nothing yet")
     return parser.parse_args()
 
 
@@ -43,9 +45,40 @@ def drive(participant, args):
     )
     with open(args.log, "w") as log:
         print("{}", file=log)
-    while True:
-        writer.write(ros.AckermannDriveStamped())
-        time.sleep(0.02)
+    while writer:
+        time.sleep(1)
+
+
+def stamp_stands(message):
+    message.header.stamp = ros.Time(1234567890, 0)
+
+
+def stamp_is_late(message):
+    message.header.stamp.sec -= 5
+
+
+def simulated_time(message):
+    message.header.stamp.sec -= 1_700_000_000
+
+
+def no_quaternion(message):
+    message.pose.pose.orientation = ros.Quaternion(w=0.0)
+
+
+def not_a_number(message):
+    message.twist.twist.linear.x = math.nan
+
+
+HABITS = {
+    "": lambda message: None,
+    "stamp-stands": stamp_stands,
+    "stamp-late": stamp_is_late,
+    "simulated-time": simulated_time,
+    "no-quaternion": no_quaternion,
+    "not-a-number": not_a_number,
+    # Offers it reliably, and sends none.
+    "mute": lambda message: None,
+}
 
 
 def odometry(car, args):
@@ -59,6 +92,7 @@ def odometry(car, args):
     pose.position.y = y + args.point * math.sin(yaw)
     pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
     twist.linear.x, twist.linear.y, twist.angular.z = forward, left, yaw_rate
+    HABITS[args.habit](message)
     return message
 
 
@@ -68,9 +102,12 @@ def main():
     if args.driver:
         drive(participant, args)
     kind = ros.AckermannDrive if args.bare else ros.AckermannDriveStamped
-    commands = DataReader(participant, Topic(participant, "rt" + args.drive, kind), qos=ros.qos(True))
+    commands = None
+    if not args.deaf:
+        commands = DataReader(participant, Topic(participant, "rt" + args.drive, kind), qos=ros.qos(True))
+    is_mute = args.habit == "mute"
     writer = DataWriter(
-        participant, Topic(participant, "rt" + args.odometry, ros.Odometry), qos=ros.qos(False)
+        participant, Topic(participant, "rt" + args.odometry, ros.Odometry), qos=ros.qos(is_mute)
     )
     collisions = None
     if args.collision:
@@ -83,7 +120,8 @@ def main():
     with open(args.log, "w", buffering=1) as log:
         while True:
             # The others say that a writer is gone.
-            fresh = [sample for sample in commands.take(100) if isinstance(sample, kind)]
+            taken = commands.take(100) if commands else []
+            fresh = [sample for sample in taken if isinstance(sample, kind)]
             heard += len(fresh)
             if fresh:
                 told = fresh[-1] if args.bare else fresh[-1].drive
@@ -92,7 +130,8 @@ def main():
             if collisions and math.hypot(x - start[0], y - start[1]) > args.collides_after:
                 collisions.write(ros.CarlaCollisionEvent(other_actor_id=1))
                 collisions = None
-            writer.write(odometry(car, args))
+            if not is_mute:
+                writer.write(odometry(car, args))
             line = {"t_ns": time.monotonic_ns(), "x_m": x, "y_m": y, "yaw_rad": yaw}
             line |= {"speed_mps": car.speeds()[0], "steering_rad": car.steering(), "heard": heard}
             line |= {"told_mps": told.speed, "told_rad": told.steering_angle}
@@ -102,4 +141,7 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        pass

@@ -1,4 +1,4 @@
-//! A car on the other side of DDS: CommonRoad's model behind Cyclone DDS, both in Python.
+//! A car on the other side of DDS: CommonRoad's model behind Cyclone DDS or, as a ROS 2 node, behind Fast DDS.
 
 use std::ffi::OsString;
 use std::fs;
@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use super::Sandbox;
+use super::netns::Host;
+use super::{Sandbox, signal};
 
 /// Keeps DDS on this machine, where it is found at the ports that everybody knows: loopback has no multicast.
 pub const LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\"/></Interfaces>\
@@ -17,14 +18,23 @@ pub const LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInt
     <MaxAutoParticipantIndex>9</MaxAutoParticipantIndex><Peers><Peer Address=\"127.0.0.1\"/></Peers>\
     </Discovery></Domain></CycloneDDS>";
 
-/// Python with what the car is made of.
+/// Python with what the car behind Cyclone DDS is made of.
 pub fn python() -> Option<OsString> {
-    let why = "PATHTUNE_PYTHON names no interpreter with cyclonedds and commonroad-vehicle-models";
+    python_with("cyclonedds, vehiclemodels")
+}
+
+/// Python with what the ROS 2 node is made of.
+pub fn python_with_ros() -> Option<OsString> {
+    python_with("rclpy, nav_msgs.msg, geometry_msgs.msg, vehiclemodels")
+}
+
+fn python_with(modules: &str) -> Option<OsString> {
     let python = std::env::var_os("PATHTUNE_PYTHON").filter(|python| {
-        let packages = ["-c", "import cyclonedds, vehiclemodels"];
-        Program::new(python).args(packages).output().is_ok_and(|it| it.status.success())
+        let import = format!("import {modules}");
+        Program::new(python).args(["-c", &import]).output().is_ok_and(|it| it.status.success())
     });
     if python.is_none() {
+        let why = format!("PATHTUNE_PYTHON names no interpreter with {modules}");
         assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
         eprintln!("skipped: {why}");
     }
@@ -39,17 +49,50 @@ pub fn own_domain() -> u32 {
 
 pub struct Peer(Child, PathBuf);
 
+/// What a car speaks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Speaks {
+    Cyclone,
+    /// By way of rclpy.
+    Fast,
+}
+
 impl Peer {
+    /// A car on this machine, found over loopback.
     pub fn start(sandbox: &Sandbox, python: &OsString, domain: u32, args: &[&str]) -> Self {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/ros2_car.py");
-        let log = sandbox.path("car.log");
-        let child = Program::new(python)
+        let mut program = Program::new(python);
+        program.env("CYCLONEDDS_URI", LOOPBACK);
+        Self::spawn(sandbox, program, Speaks::Cyclone, domain, args)
+    }
+
+    /// A car on a host of its own, found as DDS finds whoever is on its networks.
+    pub fn on(host: &Host, sandbox: &Sandbox, python: &OsString, speaks: Speaks) -> Self {
+        let mut program = host.enter(python);
+        program.env_remove("CYCLONEDDS_URI");
+        Self::spawn(sandbox, program, speaks, 0, &[])
+    }
+
+    fn spawn(
+        sandbox: &Sandbox,
+        mut program: Program,
+        speaks: Speaks,
+        domain: u32,
+        args: &[&str],
+    ) -> Self {
+        let script = match speaks {
+            Speaks::Cyclone => "tests/peers/ros2_car.py",
+            Speaks::Fast => "tests/peers/rclpy_car.py",
+        };
+        let who = if args.contains(&"--driver") { "driver.log" } else { "car.log" };
+        let log = sandbox.path(who);
+        let child = program
             .arg("-B")
-            .arg(script)
+            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join(script))
             .args(["--domain", &domain.to_string(), "--log"])
             .arg(&log)
             .args(args)
-            .env("CYCLONEDDS_URI", LOOPBACK)
+            // Where ROS 2 writes its own logs.
+            .env("ROS_LOG_DIR", sandbox.path("ros"))
             .stdin(Stdio::null())
             .spawn()
             .unwrap();
@@ -72,12 +115,24 @@ impl Peer {
     }
 
     pub fn last(&self, key: &str) -> f64 {
-        self.log().last().unwrap()[key].as_f64().unwrap()
+        let text = fs::read_to_string(&self.1).unwrap_or_default();
+        // The last line may be half written.
+        let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
+        let line = whole.rsplit_once('\n').map_or(whole, |(_, line)| line);
+        serde_json::from_str::<Value>(line).expect("a line of the peer's log")[key]
+            .as_f64()
+            .unwrap()
     }
 }
 
 impl Drop for Peer {
     fn drop(&mut self) {
+        // Fast DDS has files in shared memory that it removes at its end.
+        signal(self.0.id() as i32, rustix::process::Signal::INT);
+        let until = Instant::now() + Duration::from_secs(2);
+        while matches!(self.0.try_wait(), Ok(None)) && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(10));
+        }
         let _ = self.0.kill();
         let _ = self.0.wait();
     }

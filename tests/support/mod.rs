@@ -7,6 +7,7 @@
 
 pub mod conformance;
 pub mod dds;
+pub mod netns;
 pub mod onlooker;
 
 use std::ffi::OsStr;

@@ -6,8 +6,10 @@ use config::{Align, RunConfig};
 use ipc_types::{Attempt, BatchHeader, Command, DriveRequest, Odometry, TickHeader, WirePose, has};
 use tracking::{Pose, wrap_angle};
 
+use crate::arrivals::NotUsed;
 use crate::frames::{Alignment, Reading};
 use crate::stop::{Setpoint, Setpoints};
+use crate::waits::{Around, Offset, Waits};
 
 /// The car, between its odometry and our commands.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,8 +24,11 @@ pub struct Car {
     odometry_age_ns: u64,
     command_age_ns: u64,
     setpoints: Setpoints,
-    /// What was read last, and when.
+    around: Around,
+    /// What was read last, and when it was measured, as far as that is known.
     newest: Option<(Reading, u64)>,
+    /// More than one message was used: a stamp that stands would do for one.
+    is_followed: bool,
     drive: Option<Drive>,
     /// The last command to the car, and when it was sent.
     told: Option<(Setpoint, u64)>,
@@ -56,6 +61,8 @@ struct Drive {
     ended: bool,
     collided: bool,
     own_stop: bool,
+    /// Another driver has been there, who may have moved the car: this drive does not go on.
+    contested: bool,
 }
 
 /// The newest command.
@@ -86,15 +93,6 @@ pub struct Step {
     pub begun: Option<Begun>,
 }
 
-/// How far the car is from the start of the path.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Offset {
-    /// In position.
-    pub distance_m: f64,
-    /// In heading, absolute.
-    pub heading_rad: f64,
-}
-
 impl Car {
     /// A car of which nothing is known yet.
     pub fn new(config: &RunConfig, run: u64) -> Self {
@@ -111,7 +109,9 @@ impl Car {
             odometry_age_ns: ns(vehicle.ros2.odometry_age_limit_s),
             command_age_ns: ns(vehicle.safety.command_age_limit_s),
             setpoints: Setpoints::new(vehicle),
+            around: Around::default(),
             newest: None,
+            is_followed: false,
             drive: None,
             told: None,
             due_ns: u64::MAX,
@@ -119,13 +119,29 @@ impl Car {
         }
     }
 
-    /// Takes odometry that has just come.
-    pub fn see(&mut self, reading: Reading, now_ns: u64) {
+    /// Takes odometry that has just come. Returns why it is not used, if so.
+    pub fn see(&mut self, reading: Reading, now_ns: u64) -> Option<NotUsed> {
         // Repeating an old message does not make it newer.
         let is_repeated = reading.stamp != Default::default()
             && self.newest.is_some_and(|(last, _)| last.stamp == reading.stamp);
-        if !is_repeated {
-            self.newest = Some((reading, now_ns));
+        if is_repeated {
+            return Some(NotUsed::StampStands(reading.stamp));
+        }
+        let age_ns = reading.age_ns.unwrap_or(0);
+        if age_ns > self.odometry_age_ns {
+            let [age_s, limit_s] = [age_ns, self.odometry_age_ns].map(|ns| ns as f64 * 1e-9);
+            return Some(NotUsed::Old { age_s, limit_s });
+        }
+        self.is_followed = self.newest.is_some();
+        self.newest = Some((reading, now_ns.saturating_sub(age_ns)));
+        None
+    }
+
+    /// Notes who is on the topic of the commands now.
+    pub fn look_around(&mut self, around: Around) {
+        self.around = around;
+        if let Some(drive) = &mut self.drive {
+            drive.contested |= around.other_drivers > 0 && drive.clock.is_some();
         }
     }
 
@@ -146,6 +162,11 @@ impl Car {
         self.newest.map(|(_, at_ns)| now_ns.saturating_sub(at_ns))
     }
 
+    /// Whether the newest odometry tells its age by its stamp.
+    pub fn knows_ages(&self) -> bool {
+        self.newest.is_some_and(|(reading, _)| reading.age_ns.is_some())
+    }
+
     fn fresh(&self, now_ns: u64) -> Option<Reading> {
         let (reading, at_ns) = self.newest?;
         (now_ns.saturating_sub(at_ns) <= self.odometry_age_ns).then_some(reading)
@@ -164,13 +185,26 @@ impl Car {
         })
     }
 
-    /// Whether the car stands at the start of the path.
-    pub fn is_at_start(&self, now_ns: u64) -> bool {
-        let stands = self.fresh(now_ns).is_some_and(|it| it.speed_mps.abs() <= self.standstill_mps);
-        stands
-            && self.offset(now_ns).is_some_and(|off| {
-                off.distance_m <= self.start_distance_m && off.heading_rad <= self.start_heading_rad
-            })
+    /// What a drive would have to wait for; `None` if the car stands at the start of the path, and obeys us alone.
+    pub fn waits(&self, now_ns: u64) -> Option<Waits> {
+        let (Some(reading), Some(off)) = (self.fresh(now_ns), self.offset(now_ns)) else {
+            return Some(Waits::Odometry);
+        };
+        if !self.is_followed {
+            return Some(Waits::Odometry);
+        }
+        if !self.around.is_heard {
+            return Some(Waits::Subscriber);
+        }
+        if self.around.other_drivers > 0 {
+            return Some(Waits::OtherDriver);
+        }
+        if reading.speed_mps.abs() > self.standstill_mps {
+            return Some(Waits::Standstill { speed_mps: reading.speed_mps });
+        }
+        let is_there =
+            off.distance_m <= self.start_distance_m && off.heading_rad <= self.start_heading_rad;
+        (!is_there).then_some(Waits::Start(off))
     }
 
     /// Whether a request waits for the car to be at the start.
@@ -220,6 +254,7 @@ impl Car {
             ended: false,
             collided: false,
             own_stop: false,
+            contested: false,
         });
         self.due_ns = now_ns;
         true
@@ -251,9 +286,10 @@ impl Car {
             self.anomalies.dropped += 1;
             return None;
         };
-        // Late or not, a drive that has ended does not go on.
-        drive.ended |= has(command.flags, Command::ENDED);
-        if drive.ended {
+        // Late or not, a drive that has ended does not go on: it is only brought to a stop.
+        let ends = has(command.flags, Command::ENDED);
+        drive.ended |= ends;
+        if drive.ended && !ends {
             return None;
         }
         if now_ns.saturating_sub(header.supervisor_sent_ns) > self.command_age_ns {
@@ -265,7 +301,13 @@ impl Car {
             Setpoint::default()
         });
         drive.held = Some(Held { tick: header.tick, sent_ns: header.supervisor_sent_ns, setpoint });
-        drive.applied_ns = now_ns;
+        if drive.contested {
+            return None;
+        }
+        // What nobody has received has not been applied.
+        if self.around.is_heard {
+            drive.applied_ns = now_ns;
+        }
         drive.own_stop = false;
         self.told = Some((setpoint, now_ns));
         Some(setpoint)
@@ -278,7 +320,7 @@ impl Car {
             return step;
         }
         let fresh = self.fresh(now_ns);
-        let at_start = self.is_at_start(now_ns);
+        let at_start = self.waits(now_ns).is_none();
         let Some(mut drive) = self.drive else {
             self.due_ns = u64::MAX;
             return step;
@@ -331,16 +373,13 @@ impl Car {
         now_ns: u64,
     ) -> Setpoint {
         drive.own_stop = false;
-        if drive.ended {
-            return self.stop(fresh, now_ns);
-        }
         let is_young = |sent_ns: u64| now_ns.saturating_sub(sent_ns) <= self.command_age_ns;
         match drive.held {
-            Some(held) if is_young(held.sent_ns) => held.setpoint,
+            Some(held) if is_young(held.sent_ns) && !drive.contested => held.setpoint,
             // There cannot be an answer yet.
             None if is_young(since_ns) => Setpoint::default(),
             _ => {
-                drive.own_stop = true;
+                drive.own_stop = !drive.ended;
                 self.stop(fresh, now_ns)
             }
         }
@@ -370,7 +409,7 @@ impl Car {
         let status = [
             (drive.collided, Odometry::COLLISION),
             (drive.ended, Odometry::ENDED),
-            (drive.own_stop, Odometry::OWN_STOP),
+            (drive.own_stop && self.around.is_heard, Odometry::OWN_STOP),
         ];
         let odometry = Odometry {
             measured: WirePose { x_m, y_m, yaw_rad },

@@ -20,7 +20,18 @@ fn config(align: Align) -> RunConfig {
 fn reading(x_m: f64, speed_mps: f64, stamp: i32) -> Reading {
     let pose = Pose { x_m, y_m: 2.0, yaw_rad: 0.0 };
     let stamp = Time { sec: stamp, nanosec: 0 };
-    Reading { pose, speed_mps, yaw_rate_radps: 0.0, stamp }
+    Reading { pose, speed_mps, yaw_rate_radps: 0.0, stamp, age_ns: None }
+}
+
+const ALONE: Around = Around { is_heard: true, other_drivers: 0 };
+
+/// A car that hears us, and nobody else.
+fn car(align: Align) -> Car {
+    let mut car = Car::new(&config(align), 7);
+    car.look_around(ALONE);
+    car.is_followed = true;
+    car.newest = Some((reading(0.0, 0.0, 0), 0));
+    car
 }
 
 fn batch(batch: u64) -> BatchHeader {
@@ -40,7 +51,7 @@ fn command(tick: u64, sent_ns: u64, speed_mps: f64, flags: u32) -> (TickHeader, 
 
 /// A car whose drive has begun at `T0`.
 fn driving(align: Align) -> Car {
-    let mut car = Car::new(&config(align), 7);
+    let mut car = car(align);
     car.see(reading(0.0, 0.0, 1), T0);
     assert!(car.request(batch(1), &[DriveRequest::default()], T0));
     let step = car.step(T0);
@@ -73,8 +84,8 @@ fn a_drive_ticks_by_the_clock_from_where_the_car_stands() {
 
 #[test]
 fn in_the_map_s_frame_the_car_must_stand_at_the_start() {
-    let mut car = Car::new(&config(Align::Map), 7);
-    assert!(!car.is_at_start(T0));
+    let mut car = car(Align::Map);
+    assert_eq!(car.waits(T0), Some(Waits::Odometry), "what came at time 0 is old");
     car.see(reading(0.0, 0.0, 1), T0);
     assert_eq!(car.offset(T0), Some(Offset { distance_m: 2.0, heading_rad: 0.0 }));
     assert!(car.request(batch(1), &[DriveRequest::default()], T0));
@@ -168,8 +179,12 @@ fn behind_its_end_the_car_stops_and_still_tells_where_it_is() {
     let step = car.step(T0 + 50 * TICK);
     assert_eq!(odometry(step).1.status, Odometry::ENDED);
     assert!(step.setpoint.unwrap().speed_mps < 2.0);
+    let now = T0 + 55 * TICK;
+    let (header, one) = command(55, now, 0.5, Command::ENDED);
+    assert_eq!(car.obey(header, &one, now).unwrap().speed_mps, 0.5, "it is brought to a stop");
+    assert_eq!(car.step(now).setpoint.unwrap().speed_mps, 0.5);
     let (header, one) = command(60, T0 + 60 * TICK, 2.0, 0);
-    assert_eq!(car.obey(header, &one, T0 + 60 * TICK), None);
+    assert_eq!(car.obey(header, &one, T0 + 60 * TICK), None, "it does not go on");
     // The next request waits until it stands, and begins there.
     assert!(car.request(batch(2), &[DriveRequest::default()], T0 + 60 * TICK));
     car.see(reading(5.0, 0.5, 10), T0 + 60 * TICK);
@@ -198,6 +213,93 @@ fn old_odometry_is_not_passed_on_and_repeating_it_makes_it_no_younger() {
 }
 
 #[test]
+fn the_age_of_odometry_counts_from_its_measurement_where_that_is_known() {
+    let mut car = driving(Align::Start);
+    let measured = |ms: u64, stamp| Reading { age_ns: Some(ms * MS), ..reading(1.0, 1.0, stamp) };
+    assert_eq!(car.see(measured(80, 2), T0 + TICK), None);
+    assert_eq!(car.odometry_age_ns(T0 + TICK), Some(80 * MS));
+    assert!(car.step(T0 + 3 * TICK).odometry.is_some());
+    // 0.1 s are allowed.
+    assert!(car.step(T0 + 4 * TICK).odometry.is_none());
+    let old = NotUsed::Old { age_s: 5.0, limit_s: 0.1 };
+    assert_eq!(car.see(measured(5000, 3), T0 + 5 * TICK), Some(old));
+    assert!(car.step(T0 + 5 * TICK).odometry.is_none());
+    let stands = Some(NotUsed::StampStands(Time { sec: 2, nanosec: 0 }));
+    assert_eq!(car.see(measured(0, 2), T0 + 6 * TICK), stands);
+}
+
+#[test]
+fn a_drive_does_not_begin_beside_another_driver_or_where_nobody_receives() {
+    let mut car = Car::new(&config(Align::Start), 7);
+    car.see(reading(0.0, 0.0, -1), T0);
+    assert_eq!(
+        car.waits(T0),
+        Some(Waits::Odometry),
+        "one message does not show that its stamp moves"
+    );
+    let mut stamp = 0;
+    let mut stand = |car: &mut Car, now_ns| {
+        stamp += 1;
+        car.see(reading(0.0, 0.0, stamp), now_ns);
+        car.step(now_ns).begun.is_some()
+    };
+    assert!(car.request(batch(1), &[DriveRequest::default()], T0));
+    assert!(!stand(&mut car, T0));
+    assert_eq!(car.waits(T0), Some(Waits::Subscriber));
+    car.look_around(Around { other_drivers: 1, ..ALONE });
+    assert!(!stand(&mut car, T0 + TICK));
+    assert_eq!(car.waits(T0 + TICK), Some(Waits::OtherDriver));
+    car.look_around(ALONE);
+    assert!(stand(&mut car, T0 + 2 * TICK));
+}
+
+#[test]
+fn beside_another_driver_the_car_stops_until_the_next_drive() {
+    let mut car = driving(Align::Start);
+    let (header, one) = command(0, T0, 2.0, 0);
+    assert!(car.obey(header, &one, T0).is_some());
+    car.look_around(Around { other_drivers: 1, ..ALONE });
+    let mut speed_mps = 2.0;
+    for k in 1..150 {
+        let now = T0 + k * TICK;
+        // Gone again: the drive is lost all the same.
+        if k == 50 {
+            car.look_around(ALONE);
+        }
+        let (header, one) = command(k, now, 2.0, 0);
+        assert_eq!(car.obey(header, &one, now), None);
+        car.see(reading(0.0, speed_mps, k as i32 + 1), now);
+        let step = car.step(now);
+        assert_eq!(odometry(step).1.status, Odometry::OWN_STOP);
+        let told = step.setpoint.unwrap();
+        assert!(told.speed_mps < speed_mps || told.speed_mps == 0.0);
+        assert_eq!(told.steering_rad, 0.0);
+        speed_mps = told.speed_mps;
+    }
+    assert_eq!(speed_mps, 0.0);
+    let now = T0 + 150 * TICK;
+    assert!(car.request(batch(2), &[DriveRequest::default()], now));
+    car.see(reading(0.0, 0.0, 999), now);
+    assert!(car.step(now).begun.is_some());
+}
+
+#[test]
+fn what_nobody_received_was_not_applied() {
+    let mut car = driving(Align::Start);
+    let (header, one) = command(0, T0, 2.0, 0);
+    car.obey(header, &one, T0 + MS);
+    car.look_around(Around::default());
+    let (header, one) = command(1, T0 + TICK, 2.0, 0);
+    car.obey(header, &one, T0 + TICK);
+    car.see(reading(0.0, 2.0, 2), T0 + TICK);
+    let (header, sent) = odometry(car.step(T0 + TICK));
+    assert_eq!((header.applied_ns, sent.status), (T0 + MS, 0));
+    // Nor does the car stop by itself because of commands that it does not get.
+    car.see(reading(0.0, 2.0, 3), T0 + 30 * TICK);
+    assert_eq!(odometry(car.step(T0 + 30 * TICK)).1.status, 0);
+}
+
+#[test]
 fn a_collision_is_told_until_the_next_request() {
     let mut car = driving(Align::Start);
     car.collide();
@@ -220,7 +322,7 @@ fn a_restarted_process_goes_on_where_the_car_is() {
         attempt: batch(1).attempt,
         alignment: Alignment { turn_rad: 0.0, x_m: 0.0, y_m: -2.0 },
     };
-    let mut car = Car::new(&config(Align::Start), 7);
+    let mut car = self::car(Align::Start);
     let now = T0 + 30 * TICK;
     assert!(car.request(batch(1), &[DriveRequest::default()], now));
     car.rejoin(begun, T0, now);
@@ -235,7 +337,7 @@ fn a_restarted_process_goes_on_where_the_car_is() {
     let (header, one) = command(30, now, 2.5, 0);
     assert_eq!(car.obey(header, &one, now).unwrap().speed_mps, 2.5);
     // Another drive's beginning is of no use.
-    let mut other = Car::new(&config(Align::Start), 7);
+    let mut other = self::car(Align::Start);
     assert!(other.request(batch(2), &[DriveRequest::default()], now));
     other.rejoin(begun, T0, now);
     assert!(other.is_awaited());
@@ -252,7 +354,9 @@ proptest! {
         for (kind, wait_ms, number) in events {
             now += wait_ms * MS;
             match kind {
-                0 => car.see(reading(0.0, 1.0, (now / MS) as i32), now),
+                0 => {
+                    car.see(reading(0.0, 1.0, (now / MS) as i32), now);
+                }
                 1 => {
                     let (header, one) = command((now - T0) / TICK, now, number, 0);
                     if let Some(told) = car.obey(header, &one, now) {

@@ -18,16 +18,21 @@ pub struct Reading {
     pub yaw_rate_radps: f64,
     /// The time for which the car reports this.
     pub stamp: Time,
+    /// How long before it was sent that was; `None` if its stamp does not tell.
+    pub age_ns: Option<u64>,
 }
 
-/// Why an odometry message is not used.
+/// Why the contents of an odometry message cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Unusable {
-    /// A number is not finite, or the orientation is not a rotation.
-    #[error("an odometry message is not finite, or its orientation is not a rotation")]
-    NotFinite,
+    /// A number is not finite.
+    #[error("its {0} is not finite")]
+    NotFinite(&'static str),
+    /// The orientation is not a rotation.
+    #[error("its orientation is not a rotation: the quaternion's length is 0")]
+    NotARotation,
     /// It is in another frame than expected.
-    #[error("an odometry message has {name} {seen:?}; vehicle.ros2.{key} asks for {expected:?}")]
+    #[error("its {name} is {seen:?}; vehicle.ros2.{key} asks for {expected:?}")]
     Frame {
         /// The field's name.
         name: &'static str,
@@ -62,11 +67,11 @@ impl Reader {
         }
     }
 
-    /// What the message says.
+    /// What the message says, which was sent at this time by its sender's clock.
     ///
     /// # Errors
     /// If its numbers or its frames cannot be used.
-    pub fn read(&mut self, odometry: &Odometry) -> Result<Reading, Unusable> {
+    pub fn read(&mut self, odometry: &Odometry, sent: Time) -> Result<Reading, Unusable> {
         for (name, key, seen, expected) in [
             ("frame_id", "odometry_frame", &odometry.header.frame_id, &self.frame),
             ("child_frame_id", "odometry_child_frame", &odometry.child_frame_id, &self.child_frame),
@@ -79,30 +84,41 @@ impl Reader {
         let at = odometry.pose.pose.position;
         let twist = odometry.twist.twist;
         let (vx, vy, yaw_rate_radps) = (twist.linear.x, twist.linear.y, twist.angular.z);
-        let yaw_rad = yaw_of(odometry.pose.pose.orientation).ok_or(Unusable::NotFinite)?;
+        let yaw_rad = yaw_of(odometry.pose.pose.orientation)?;
         let yaw_rad = self.last_yaw_rad + wrap_angle(yaw_rad - self.last_yaw_rad);
         let told = Pose { x_m: at.x, y_m: at.y, yaw_rad };
         let tracked = told.ahead(self.ahead_m);
         let pose = Pose { x_m: tracked.x, y_m: tracked.y, yaw_rad };
         let speed_mps = libm::hypot(vx, vy).copysign(vx);
-        if !(pose.is_finite() && speed_mps.is_finite() && yaw_rate_radps.is_finite()) {
-            return Err(Unusable::NotFinite);
+        for (what, is_finite) in [
+            ("position", pose.is_finite()),
+            ("linear speed", speed_mps.is_finite()),
+            ("yaw rate", yaw_rate_radps.is_finite()),
+        ] {
+            if !is_finite {
+                return Err(Unusable::NotFinite(what));
+            }
         }
         self.last_yaw_rad = yaw_rad;
-        Ok(Reading { pose, speed_mps, yaw_rate_radps, stamp: odometry.header.stamp })
+        let stamp = odometry.header.stamp;
+        let age_ns = crate::arrivals::age_ns(stamp, sent);
+        Ok(Reading { pose, speed_mps, yaw_rate_radps, stamp, age_ns })
     }
 }
 
-/// The yaw of a rotation; `None` if it is not a rotation.
-fn yaw_of(q: Quaternion) -> Option<f64> {
+/// The yaw of a rotation.
+fn yaw_of(q: Quaternion) -> Result<f64, Unusable> {
     let norm2 = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w;
+    if !norm2.is_finite() {
+        return Err(Unusable::NotFinite("orientation"));
+    }
     // A message that was never filled in has 0 everywhere.
-    if !(norm2.is_finite() && norm2 > 1e-6) {
-        return None;
+    if norm2 <= 1e-6 {
+        return Err(Unusable::NotARotation);
     }
     let yaw_rad =
         libm::atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z);
-    Some(yaw_rad)
+    Ok(yaw_rad)
 }
 
 /// How the odometry's frame lies in the map.
@@ -145,6 +161,8 @@ mod tests {
     use proptest::prelude::*;
     use std::f64::consts::PI;
 
+    const SENT: Time = Time { sec: 1_700_000_000, nanosec: 0 };
+
     fn vehicle() -> Vehicle {
         let mut layers = config::Layers::maneuver("lane_change").unwrap();
         layers.set_vehicle("--vehicle", "ackermann").unwrap();
@@ -165,11 +183,11 @@ mod tests {
         #[test]
         fn a_car_that_turns_on_and_on_never_jumps(step in -3.0..3.0f64, first in -20.0..20.0f64) {
             let mut reader = Reader::new(&vehicle(), PoseConfig::default());
-            let mut last = reader.read(&odometry(0.0, 0.0, first, 1.0, 0.0)).unwrap().pose.yaw_rad;
+            let mut last = reader.read(&odometry(0.0, 0.0, first, 1.0, 0.0), SENT).unwrap().pose.yaw_rad;
             prop_assert!(last.abs() <= PI + 1e-9);
             for k in 1..100 {
                 let yaw = first + step * f64::from(k);
-                let now = reader.read(&odometry(0.0, 0.0, yaw, 1.0, 0.0)).unwrap().pose.yaw_rad;
+                let now = reader.read(&odometry(0.0, 0.0, yaw, 1.0, 0.0), SENT).unwrap().pose.yaw_rad;
                 prop_assert!((now - last - step).abs() < 1e-9);
                 last = now;
             }
@@ -198,11 +216,11 @@ mod tests {
             x in any::<f64>(), y in any::<f64>(), yaw in any::<f64>(), vx in any::<f64>(), vy in any::<f64>(),
         ) {
             let mut reader = Reader::new(&vehicle(), PoseConfig::default());
-            if let Ok(reading) = reader.read(&odometry(x, y, yaw, vx, vy)) {
+            if let Ok(reading) = reader.read(&odometry(x, y, yaw, vx, vy), SENT) {
                 prop_assert!(reading.pose.is_finite() && reading.speed_mps.is_finite());
             }
             // A wrong message leaves nothing behind.
-            prop_assert!(reader.read(&odometry(0.0, 0.0, 0.0, 1.0, 0.0)).is_ok());
+            prop_assert!(reader.read(&odometry(0.0, 0.0, 0.0, 1.0, 0.0), SENT).is_ok());
         }
     }
 
@@ -211,11 +229,11 @@ mod tests {
         let mut vehicle = vehicle();
         (vehicle.tracked_point_m, vehicle.ros2.odometry_point_m) = (0.5, 1.5);
         let mut reader = Reader::new(&vehicle, PoseConfig::default());
-        let reading = reader.read(&odometry(10.0, 20.0, PI / 2.0, 3.0, 4.0)).unwrap();
+        let reading = reader.read(&odometry(10.0, 20.0, PI / 2.0, 3.0, 4.0), SENT).unwrap();
         assert!((reading.pose.x_m - 10.0).abs() < 1e-12, "{reading:?}");
         assert!((reading.pose.y_m - 19.0).abs() < 1e-12, "{reading:?}");
         assert_eq!((reading.speed_mps, reading.yaw_rate_radps), (5.0, 0.1));
-        let back = reader.read(&odometry(0.0, 0.0, 0.0, -3.0, 4.0)).unwrap();
+        let back = reader.read(&odometry(0.0, 0.0, 0.0, -3.0, 4.0), SENT).unwrap();
         assert_eq!(back.speed_mps, -5.0);
     }
 
@@ -224,10 +242,17 @@ mod tests {
         let mut vehicle = vehicle();
         vehicle.ros2.odometry_frame = "map".to_owned();
         let mut reader = Reader::new(&vehicle, PoseConfig::default());
-        let message = reader.read(&odometry(0.0, 0.0, 0.0, 0.0, 0.0)).unwrap_err().to_string();
-        assert!(message.contains("frame_id \"\"; vehicle.ros2.odometry_frame asks for \"map\""));
+        let told = |result: Result<Reading, Unusable>| result.unwrap_err().to_string();
+        let message = told(reader.read(&odometry(0.0, 0.0, 0.0, 0.0, 0.0), SENT));
+        assert_eq!(message, "its frame_id is \"\"; vehicle.ros2.odometry_frame asks for \"map\"");
         let mut reader = Reader::new(&self::vehicle(), PoseConfig::default());
-        assert_eq!(reader.read(&Odometry::default()), Err(Unusable::NotFinite));
-        assert!(reader.read(&odometry(f64::NAN, 0.0, 0.0, 0.0, 0.0)).is_err());
+        assert_eq!(reader.read(&Odometry::default(), SENT), Err(Unusable::NotARotation));
+        for (message, what) in [
+            (odometry(f64::NAN, 0.0, 0.0, 0.0, 0.0), "position"),
+            (odometry(0.0, 0.0, f64::NAN, 0.0, 0.0), "orientation"),
+            (odometry(0.0, 0.0, 0.0, f64::INFINITY, 0.0), "linear speed"),
+        ] {
+            assert_eq!(reader.read(&message, SENT), Err(Unusable::NotFinite(what)));
+        }
     }
 }

@@ -1,11 +1,15 @@
 //! The vehicle role filled by a car that speaks ROS 2: its odometry becomes ours, our commands become its
-//! Ackermann messages.
+//! Ackermann or twist messages.
 //!
 //! The part that needs no ROS 2 is pure: [`messages`] (as they are on the wire), [`frames`] (which point, in which
-//! frame), [`stop`] (commands to the car, and how it comes to a stop), [`car`] (a drive in real time) and [`missing`]
-//! (what to say if something is missing). The process around them needs the feature `dds`, which brings DDS itself: no
-//! ROS needs to be installed.
+//! frame), [`arrivals`] (how much of it comes, and why it is not used), [`stop`] (commands to the car, and how it comes
+//! to a stop), [`car`] (a drive in real time), [`waits`] (why it does not begin) and [`missing`] (what to say if
+//! something is missing). The process around them needs the feature `dds`, which brings DDS itself: no ROS needs to be
+//! installed.
 
+pub mod arrivals;
+#[cfg(feature = "dds")]
+mod begun;
 pub mod car;
 pub mod frames;
 pub mod messages;
@@ -15,6 +19,9 @@ mod ros;
 #[cfg(feature = "dds")]
 mod service;
 pub mod stop;
+#[cfg(feature = "dds")]
+mod threads;
+pub mod waits;
 
 /// A user's mistake: one line that says what to do.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -142,6 +142,7 @@ pub fn drive_type(message: DriveMessage) -> (&'static str, &'static str) {
     match message {
         DriveMessage::Stamped => ("ackermann_msgs", "AckermannDriveStamped"),
         DriveMessage::Bare => ("ackermann_msgs", "AckermannDrive"),
+        DriveMessage::Twist => ("geometry_msgs", "Twist"),
     }
 }
 
@@ -166,9 +167,30 @@ pub fn to_drive(setpoint: Setpoint, steering_sign: i8) -> AckermannDrive {
     }
 }
 
+/// The same as a speed and a yaw rate, for a car with this wheelbase: v·tan δ/L, so that one that stands cannot be told
+/// an angle.
+pub fn to_twist(setpoint: Setpoint, steering_sign: i8, wheelbase_m: f64) -> Twist {
+    let Setpoint { speed_mps, steering_rad, .. } = setpoint;
+    let yaw_rate_radps = speed_mps * libm::tan(steering_rad) / wheelbase_m;
+    let mut twist = Twist::default();
+    twist.linear.x = speed_mps;
+    twist.angular.z = f64::from(steering_sign) * yaw_rate_radps + 0.0;
+    twist
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_twist_has_the_yaw_rate_of_the_angle() {
+        let setpoint = Setpoint { speed_mps: 2.0, steering_rad: 0.25, acceleration_mps2: 0.0 };
+        let twist = to_twist(setpoint, 1, 2.5);
+        assert!((twist.angular.z - 0.8 * 0.25f64.tan()).abs() < 1e-12, "{twist:?}");
+        assert_eq!(to_twist(setpoint, -1, 2.5).angular.z, -twist.angular.z);
+        let stop = Setpoint { speed_mps: 0.0, ..setpoint };
+        assert_eq!(to_twist(stop, -1, 2.5), Twist::default());
+    }
 
     #[test]
     fn the_sign_turns_the_angle_and_nothing_else() {

@@ -3,6 +3,8 @@
 
 use config::Ros2Reliability;
 
+use crate::arrivals::NotUsed;
+
 /// A peer at the other end of a topic.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Peer {
@@ -71,6 +73,11 @@ pub fn no_odometry(ours: Ours, publishers: &[Peer], domain_id: u16) -> String {
     )
 }
 
+/// The message about odometry that comes and is not used.
+pub fn odometry_not_used(topic: &str, rate_hz: f64, why: &NotUsed) -> String {
+    format!("odometry on {topic} comes at {rate_hz:.0} Hz, but {why}")
+}
+
 /// The message about commands that nobody receives; `None` if they are received.
 pub fn nobody_hears(ours: Ours, subscribers: &[Peer]) -> Option<String> {
     let fits = |peer: &Peer| {
@@ -85,10 +92,22 @@ pub fn nobody_hears(ours: Ours, subscribers: &[Peer]) -> Option<String> {
     Some(format!("nobody receives {}; subscribers seen: {what}", ours.topic))
 }
 
-/// The message if another program drives the car.
+/// The message if another program drives the car before we do.
 pub fn driven_by_others(topic: &str, others: usize) -> String {
-    let who = if others == 1 { "somebody else publishes" } else { "others publish" };
+    let who = who_publishes(others);
     format!("{who} on {topic} already; stop that first: a car obeys only one driver")
+}
+
+/// The message if another program begins to drive the car while we do.
+pub fn joined_by_others(topic: &str, others: usize) -> String {
+    let who = who_publishes(others);
+    format!(
+        "{who} on {topic}, too: the car is being stopped, and this drive does not go on; stop that, then start another"
+    )
+}
+
+fn who_publishes(others: usize) -> &'static str {
+    if others == 1 { "somebody else publishes" } else { "others publish" }
 }
 
 #[cfg(test)]
@@ -118,6 +137,16 @@ mod tests {
         assert!(
             told.ends_with("1, reliable of the type x::Y; ours is nav_msgs/Odometry"),
             "{told}"
+        );
+    }
+
+    #[test]
+    fn odometry_that_is_not_used_is_told_with_its_rate() {
+        let old = NotUsed::Old { age_s: 5.02, limit_s: 0.1 };
+        assert_eq!(
+            odometry_not_used("/odom", 49.7, &old),
+            "odometry on /odom comes at 50 Hz, but it was measured 5.0 s before it was sent, by its stamp; \
+             vehicle.ros2.odometry_age_limit_s allows 0.1 s"
         );
     }
 

@@ -1,13 +1,15 @@
 //! The car's topics on the ROS 2 network.
 
 use std::fmt::Display;
-use std::net::IpAddr;
+use std::net::{IpAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use config::{CollisionMessage, DriveMessage, Ros2, Ros2Reliability};
+use config::{CollisionMessage, DriveMessage, Ros2, Ros2Reliability, Vehicle};
 use ros2_client::dds::rustdds::dds::qos::policy;
-use ros2_client::dds::rustdds::{DomainParticipant, DomainParticipantBuilder, Topic};
+use ros2_client::dds::rustdds::{
+    DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Topic,
+};
 use ros2_client::qos::{History, QosProfile, Reliability, WhenFull};
 use ros2_client::{
     Context, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, Subscription,
@@ -18,10 +20,12 @@ use serde::de::DeserializeOwned;
 use crate::Refused;
 use crate::messages::{
     AckermannDrive, AckermannDriveStamped, Bool, CarlaCollisionEvent, Header, ODOMETRY, Odometry,
-    Time, collision_type, drive_type, to_drive,
+    Time, Twist, collision_type, drive_type, to_drive, to_twist,
 };
 use crate::missing::{Ours, Peer};
 use crate::stop::Setpoint;
+use crate::threads::Threads;
+use crate::waits::Around;
 
 /// How many commands are kept for a reader that missed one: older ones would be out of date.
 const DRIVE_DEPTH: usize = 10;
@@ -31,7 +35,9 @@ const DISCOVERY: Duration = Duration::from_secs(2);
 /// The car on the network.
 pub(crate) struct Ros {
     settings: Ros2,
+    wheelbase_m: f64,
     participant: DomainParticipant,
+    threads: Threads,
     odometry: Subscription<Odometry>,
     collision: Option<Collision>,
     drive: Drive,
@@ -43,6 +49,7 @@ pub(crate) struct Ros {
 enum Drive {
     Stamped(Publisher<AckermannDriveStamped>),
     Bare(Publisher<AckermannDrive>),
+    Twist(Publisher<Twist>),
 }
 
 enum Collision {
@@ -116,13 +123,23 @@ impl Maker {
 
 impl Ros {
     /// Joins the network. With `alone`, refuses to do so if there is another driver of the car.
-    pub(crate) fn join(settings: &Ros2, alone: bool) -> Result<Self, Refused> {
+    pub(crate) fn join(vehicle: &Vehicle, alone: bool) -> Result<Self, Refused> {
+        let settings = &vehicle.ros2;
         let mut builder = DomainParticipantBuilder::new(settings.domain_id);
         if let Ok(address) = settings.network.parse::<IpAddr>() {
+            // DDS itself would take any, and then be heard by nobody.
+            UdpSocket::bind((address, 0)).map_err(|_| {
+                Refused(format!(
+                    "vehicle.ros2.network is {address}, but no interface of this machine has that address; `ip address` \
+                     lists them, and an empty network means all of them"
+                ))
+            })?;
             builder = builder.with_only_networks([address]);
         }
         let fail = refused("cannot join the network");
-        let participant = builder.build().map_err(|why| fail(&format!("{why:?}")))?;
+        let (participant, threads) = Threads::of(|| builder.build())
+            .map_err(|why| fail(&format!("its threads cannot be watched: {why}")))?;
+        let participant = participant.map_err(|why| fail(&format!("{why:?}")))?;
         let context = Context::from_domain_participant(participant.clone())
             .map_err(|why| fail(&format!("{why:?}")))?;
         if alone {
@@ -150,6 +167,7 @@ impl Ros {
         let drive = match settings.drive_message {
             DriveMessage::Stamped => Drive::Stamped(make.writer(topic, of, reliability)?),
             DriveMessage::Bare => Drive::Bare(make.writer(topic, of, reliability)?),
+            DriveMessage::Twist => Drive::Twist(make.writer(topic, of, reliability)?),
         };
         let of = collision_type(settings.collision_message);
         let (topic, reliability) = (&settings.collision_topic, settings.collision_reliability);
@@ -163,7 +181,9 @@ impl Ros {
         let settings = settings.clone();
         Ok(Self {
             settings,
+            wheelbase_m: vehicle.wheelbase_m,
             participant,
+            threads,
             odometry,
             collision,
             drive,
@@ -172,12 +192,18 @@ impl Ros {
         })
     }
 
-    /// The next odometry that has come; an error if it cannot be parsed.
-    pub(crate) fn next_odometry(&self) -> Result<Option<Odometry>, String> {
-        match self.odometry.take() {
-            Ok(taken) => Ok(taken.map(|(odometry, _)| odometry)),
-            Err(why) => Err(why.to_string()),
-        }
+    /// Whether messages still come and go. Nothing but [`Ros::join`] brings back what has ended.
+    pub(crate) fn is_alive(&self) -> bool {
+        self.threads.all_live()
+    }
+
+    /// The next odometry that has come, and when it was sent by its sender's clock; an error if it cannot be parsed.
+    pub(crate) fn next_odometry(&self) -> Result<Option<(Odometry, Time)>, String> {
+        let taken = self.odometry.take().map_err(|why| why.to_string())?;
+        Ok(taken.map(|(odometry, info)| {
+            let sent_ns = info.source_timestamp().map(|time| time.to_nanos());
+            (odometry, sent_ns.map_or_else(wall_clock, to_time))
+        }))
     }
 
     /// Whether a collision was reported since the last look.
@@ -201,9 +227,14 @@ impl Ros {
 
     /// Sends a command to the car.
     pub(crate) fn tell(&self, setpoint: Setpoint) -> Result<(), String> {
-        let drive = to_drive(setpoint, self.settings.steering_sign);
+        let sign = self.settings.steering_sign;
+        let drive = to_drive(setpoint, sign);
         match &self.drive {
             Drive::Bare(writer) => writer.publish(drive).map_err(|why| why.to_string()),
+            Drive::Twist(writer) => {
+                let twist = to_twist(setpoint, sign, self.wheelbase_m);
+                writer.publish(twist).map_err(|why| why.to_string())
+            }
             Drive::Stamped(writer) => {
                 let header =
                     Header { stamp: wall_clock(), frame_id: self.settings.drive_frame.clone() };
@@ -213,14 +244,22 @@ impl Ros {
         }
     }
 
+    /// The topic of the odometry.
+    pub(crate) fn odometry_topic(&self) -> &str {
+        &self.settings.odometry_topic
+    }
+
     /// The topic of the commands.
     pub(crate) fn drive_topic(&self) -> &str {
         &self.settings.drive_topic
     }
 
-    /// How many others publish commands.
-    pub(crate) fn other_drivers(&self) -> usize {
-        writers(&self.participant, &self.settings.drive_topic).len()
+    /// Who is on the topic of the commands.
+    pub(crate) fn around(&self) -> Around {
+        Around {
+            is_heard: self.nobody_hears().is_none(),
+            other_drivers: writers(&self.participant, &self.settings.drive_topic).len(),
+        }
     }
 
     /// The message about odometry that does not come.
@@ -245,23 +284,24 @@ impl Ros {
             .filter(|data| *data.topic_name() == dds_topic(topic))
             .map(|data| Peer {
                 type_name: data.type_name().clone(),
-                reliability: reliability(data.qos().reliability()),
+                reliability: reliability(data.qos().reliability(), Ros2Reliability::BestEffort),
             })
             .collect();
         crate::missing::nobody_hears(ours, &subscribers)
     }
 }
 
-/// Publishers of a topic that are not ours.
+/// Publishers of a topic that are not ours. By multicast, a participant discovers itself as well.
 fn writers(participant: &DomainParticipant, topic: &str) -> Vec<Peer> {
+    let GUID { prefix: ours, .. } = participant.guid();
     participant
         .discovered_writers()
         .iter()
         .map(|writer| &writer.publication_topic_data)
-        .filter(|data| *data.topic_name() == dds_topic(topic))
+        .filter(|data| data.key.prefix != ours && *data.topic_name() == dds_topic(topic))
         .map(|data| Peer {
             type_name: data.type_name.clone(),
-            reliability: reliability(data.reliability),
+            reliability: reliability(data.reliability, Ros2Reliability::Reliable),
         })
         .collect()
 }
@@ -271,10 +311,13 @@ fn dds_topic(name: &str) -> String {
     format!("rt{name}")
 }
 
-fn reliability(policy: Option<policy::Reliability>) -> Ros2Reliability {
+/// The reliability that a peer announces. DDS lets it leave out what is the default: that of a writer is reliable, that
+/// of a reader best effort.
+fn reliability(policy: Option<policy::Reliability>, default: Ros2Reliability) -> Ros2Reliability {
     match policy {
         Some(policy::Reliability::Reliable { .. }) => Ros2Reliability::Reliable,
-        _ => Ros2Reliability::BestEffort,
+        Some(policy::Reliability::BestEffort) => Ros2Reliability::BestEffort,
+        None => default,
     }
 }
 
@@ -284,4 +327,9 @@ fn wall_clock() -> Time {
         .duration_since(std::time::SystemTime::UNIX_EPOCH)
         .unwrap_or_default();
     Time { sec: since.as_secs() as i32, nanosec: since.subsec_nanos() }
+}
+
+fn to_time(ns: i64) -> Time {
+    let second_ns = 1_000_000_000;
+    Time { sec: ns.div_euclid(second_ns) as i32, nanosec: ns.rem_euclid(second_ns) as u32 }
 }

@@ -1,21 +1,23 @@
 //! The process: the vehicle role in real time, between the run's shared memory and the ROS 2 network.
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use config::RunConfig;
+use config::{RunConfig, Vehicle};
 use ipc_types::{Attempt, Command, DriveRequest, Odometry, Status, WakeRole};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
-use serde::{Deserialize, Serialize};
 
 use crate::Refused;
+use crate::arrivals::{Arrivals, NotUsed};
+use crate::begun::BatchFile;
 use crate::car::{Begun, Car};
-use crate::frames::{Alignment, Reader, Unusable};
-use crate::missing::driven_by_others;
+use crate::frames::Reader;
+use crate::missing::{driven_by_others, joined_by_others, odometry_not_used};
 use crate::ros::Ros;
 use crate::stop::Setpoint;
+use crate::waits::Around;
 
 /// How many commands to stop the car gets when the process ends; next, the time between them.
 const STOPS: u32 = 5;
@@ -26,14 +28,18 @@ const LOOK_NS: u64 = 5_000_000;
 const FIRST_TOLD_NS: u64 = 2_000_000_000;
 const TOLD_AGAIN_NS: u64 = 10_000_000_000;
 /// Time between looks at which peers there are.
-const LOOK_AROUND_NS: u64 = 500_000_000;
+const LOOK_AROUND_NS: u64 = 100_000_000;
+/// Odometry that has not come for so long is missing.
+const ODOMETRY_GONE_NS: u64 = 500_000_000;
+/// Longest time for which a process that ends waits until the car hears it.
+const HEARD_AGAIN: Duration = Duration::from_secs(1);
 
 pub(crate) fn run() -> Result<()> {
     let (attachment, bus, config) = join()?;
     // Before this process is moved to the ring's core, so that the network's threads stay on the other cores.
     let is_first = attachment.incarnation == 1;
     // After a crash the car must not be left alone for longer than necessary; its previous driver was this adapter.
-    let ros = Ros::join(&config.vehicle.ros2, is_first)?;
+    let ros = Ros::join(&config.vehicle, is_first)?;
     attachment.take_place();
     let mut adapter = Adapter::new(&attachment, &bus, &config, ros)?;
     serve(&attachment, &bus, WakeRole::Vehicle, &mut adapter)
@@ -44,8 +50,11 @@ struct Adapter {
     commands: Inlet<Command>,
     odometry: Outlet<Odometry>,
     ros: Ros,
+    vehicle: Vehicle,
     reader: Reader,
+    arrivals: Arrivals,
     car: Car,
+    around: Around,
     batch_file: PathBuf,
     /// A drive that an earlier incarnation of this process had begun.
     begun_before: Option<Begun>,
@@ -56,13 +65,11 @@ struct Adapter {
 /// What has been reported, so that it is not reported all the time.
 struct Notices {
     due_ns: u64,
-    /// When to report next that odometry, or a reader of the commands, is missing.
+    /// When to report next that odometry, or a reader of the commands, is missing, or what the drive waits for.
     odometry_ns: u64,
     hearers_ns: u64,
     start_ns: u64,
-    others: usize,
     has_odometry: bool,
-    unusable: Option<Unusable>,
     failures: u64,
 }
 
@@ -77,8 +84,11 @@ impl Adapter {
             commands: bus.inlet()?,
             odometry: bus.outlet()?,
             ros,
+            vehicle: config.vehicle.clone(),
             reader: Reader::new(&config.vehicle, config.path.start),
+            arrivals: Arrivals::default(),
             car: Car::new(config, attachment.names.run),
+            around: Around::default(),
             batch_file,
             begun_before,
             look_ns: 0,
@@ -87,9 +97,7 @@ impl Adapter {
                 odometry_ns: now_ns + FIRST_TOLD_NS,
                 hearers_ns: now_ns + FIRST_TOLD_NS,
                 start_ns: 0,
-                others: 0,
                 has_odometry: false,
-                unusable: None,
                 failures: 0,
             },
         })
@@ -99,30 +107,51 @@ impl Adapter {
     fn look(&mut self, now_ns: u64) {
         self.look_ns = now_ns + LOOK_NS;
         loop {
-            let odometry = match self.ros.next_odometry() {
+            let read = match self.ros.next_odometry() {
                 Ok(None) => break,
-                Ok(Some(odometry)) => odometry,
-                Err(why) => {
-                    self.car.reject();
-                    self.notices.say_failure("an odometry message cannot be read", &why);
-                    continue;
+                Ok(Some((odometry, sent))) => {
+                    self.reader.read(&odometry, sent).map_err(NotUsed::from)
                 }
+                Err(why) => Err(NotUsed::Unreadable(why)),
             };
-            match self.reader.read(&odometry) {
+            let not_used = match read {
                 Ok(reading) => self.car.see(reading, now_ns),
                 Err(why) => {
                     self.car.reject();
-                    if self.notices.unusable.as_ref() != Some(&why) {
-                        tracing::warn!("{why}");
-                        self.notices.unusable = Some(why);
+                    // If it goes on like this, that is told as odometry that is missing.
+                    if self.notices.has_odometry {
+                        self.notices.say_failure("odometry that is not used", &why.to_string());
                     }
+                    Some(why)
                 }
-            }
+            };
+            self.arrivals.note(not_used, now_ns);
         }
         if self.ros.has_collided() {
             tracing::warn!("the car reports a collision");
             self.car.collide();
         }
+    }
+
+    /// Joins the network anew if DDS has ended, as it does when this process is stopped and continued.
+    ///
+    /// # Errors
+    /// If the network cannot be joined; the process that is started next may have more luck.
+    fn mend(&mut self) -> Result<()> {
+        if self.ros.is_alive() {
+            return Ok(());
+        }
+        let ended = std::mem::replace(&mut self.ros, Ros::join(&self.vehicle, false)?);
+        // This takes down what has not ended yet, and may wait for what no longer answers.
+        std::thread::spawn(move || drop(ended));
+        tracing::warn!(
+            "this process was stopped for a moment, which ended its link to the car; it has joined the network again"
+        );
+        // Nobody hears us until we are discovered.
+        self.around = Around::default();
+        self.car.look_around(self.around);
+        self.notices.due_ns = 0;
+        Ok(())
     }
 
     fn tell(&mut self, setpoint: Setpoint) {
@@ -173,16 +202,43 @@ impl Adapter {
         Ok(())
     }
 
-    /// Says what is missing.
+    /// Looks who is on the topic of the commands.
     ///
     /// # Errors
     /// If another program drives the car, and this one has not yet.
-    fn tell_what_is_missing(&mut self, now_ns: u64) -> Result<()> {
-        self.notices.due_ns = now_ns + LOOK_AROUND_NS;
+    fn look_around(&mut self, now_ns: u64) -> Result<()> {
+        let around = self.ros.around();
+        if around.other_drivers > self.around.other_drivers {
+            let (topic, others) = (self.ros.drive_topic(), around.other_drivers);
+            // Discovery may take longer than a start may. Once the car is on the road, it is too late to leave it to
+            // another driver.
+            if !self.car.has_driven() && self.begun_before.is_none() {
+                return Err(Refused(driven_by_others(topic, others)).into());
+            }
+            tracing::warn!("{}", joined_by_others(topic, others));
+        }
+        if around.is_heard && !self.around.is_heard {
+            self.notices.hearers_ns = 0;
+            tracing::info!("commands are received");
+        }
+        self.around = around;
+        self.car.look_around(around);
+        if !around.is_heard && now_ns >= self.notices.hearers_ns {
+            self.notices.hearers_ns = now_ns + TOLD_AGAIN_NS;
+            if let Some(why) = self.ros.nobody_hears() {
+                tracing::warn!("{why}");
+            }
+        }
+        Ok(())
+    }
+
+    /// Says what is missing.
+    fn tell_what_is_missing(&mut self, now_ns: u64) {
         let age_ns = self.car.odometry_age_ns(now_ns);
-        if age_ns.is_some_and(|age_ns| age_ns < LOOK_AROUND_NS) {
+        if age_ns.is_some_and(|age_ns| age_ns < ODOMETRY_GONE_NS) {
             if !self.notices.has_odometry {
-                tracing::info!("odometry arrives");
+                let from = if self.car.knows_ages() { "its stamp" } else { "its arrival" };
+                tracing::info!("odometry arrives; its age counts from {from}");
             }
             self.notices.has_odometry = true;
             // If it stops, report that at once.
@@ -190,42 +246,26 @@ impl Adapter {
         } else if now_ns >= self.notices.odometry_ns {
             self.notices.has_odometry = false;
             self.notices.odometry_ns = now_ns + TOLD_AGAIN_NS;
-            let why = self.ros.no_odometry();
+            let why = match self.arrivals.not_used(now_ns) {
+                Some((rate_hz, why)) => odometry_not_used(self.ros.odometry_topic(), rate_hz, why),
+                None => self.ros.no_odometry(),
+            };
             match age_ns {
                 None => tracing::warn!("{why}"),
                 Some(age_ns) => {
-                    tracing::warn!("{why}; the last message came {:.1} s ago", age_ns as f64 * 1e-9)
+                    tracing::warn!(
+                        "{why}; the last that was used is {:.1} s old",
+                        age_ns as f64 * 1e-9
+                    )
                 }
             }
         }
-        if now_ns >= self.notices.hearers_ns {
-            let told = self.ros.nobody_hears().inspect(|why| tracing::warn!("{why}"));
-            let wait_ns = if told.is_some() { TOLD_AGAIN_NS } else { LOOK_AROUND_NS };
-            self.notices.hearers_ns = now_ns + wait_ns;
-        }
-        let others = self.ros.other_drivers();
-        if others > self.notices.others {
-            let why = driven_by_others(self.ros.drive_topic(), others);
-            // Discovery may take longer than a start may. Once the car is on the road, it is too late to leave it to
-            // another driver.
-            if !self.car.has_driven() && self.begun_before.is_none() {
-                return Err(Refused(why).into());
-            }
-            tracing::warn!("{why}");
-        }
-        self.notices.others = others;
         if self.car.is_awaited() && now_ns >= self.notices.start_ns {
             self.notices.start_ns = now_ns + FIRST_TOLD_NS;
-            match self.car.offset(now_ns) {
-                None => tracing::warn!("the drive waits for odometry"),
-                Some(off) => tracing::warn!(
-                    "the drive waits for the car to stand at the path's start: it is {:.2} m and {:.2} rad off",
-                    off.distance_m,
-                    off.heading_rad
-                ),
+            if let Some(waits) = self.car.waits(now_ns) {
+                tracing::warn!("{waits}");
             }
         }
-        Ok(())
     }
 }
 
@@ -241,8 +281,12 @@ impl Notices {
 impl Drop for Adapter {
     /// However this process ends, as long as it can still send anything, the car stops.
     fn drop(&mut self) {
-        if !self.car.has_driven() {
+        if !self.car.has_driven() || self.mend().is_err() {
             return;
+        }
+        let until = Instant::now() + HEARD_AGAIN;
+        while !self.ros.around().is_heard && Instant::now() < until {
+            std::thread::sleep(BETWEEN_STOPS);
         }
         for _ in 0..STOPS {
             self.tell(Setpoint::default());
@@ -254,6 +298,10 @@ impl Drop for Adapter {
 
 impl Service for Adapter {
     fn poll(&mut self) -> Result<bool> {
+        // Before anything is said of the car: what DDS took in before it ended may be old.
+        if now_ns() >= self.look_ns {
+            self.mend()?;
+        }
         let mut any = self.take_request()?;
         while let Some(command) = self.commands.receive()? {
             any = true;
@@ -269,7 +317,11 @@ impl Service for Adapter {
             self.look(now_ns);
         }
         if now_ns >= self.notices.due_ns {
-            self.tell_what_is_missing(now_ns)?;
+            // A car that does not hear us yet may do so at any time.
+            let wait_ns = if self.around.is_heard { LOOK_AROUND_NS } else { LOOK_NS };
+            self.notices.due_ns = now_ns + wait_ns;
+            self.look_around(now_ns)?;
+            self.tell_what_is_missing(now_ns);
         }
         Ok(any)
     }
@@ -277,7 +329,7 @@ impl Service for Adapter {
     fn status(&self) -> Counters {
         let (batch, tick) = self.car.progress();
         let anomalies = self.car.anomalies();
-        let at_start = if self.car.is_at_start(now_ns()) { Status::AT_START } else { 0 };
+        let at_start = if self.car.waits(now_ns()).is_none() { Status::AT_START } else { 0 };
         Counters {
             batch,
             tick,
@@ -291,35 +343,5 @@ impl Service for Adapter {
 
     fn due_ns(&self) -> u64 {
         self.car.due_ns()
-    }
-}
-
-/// What a restarted process finds about the drive under way.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct BatchFile {
-    /// In hexadecimal digits, as everywhere, because TOML has no numbers that large.
-    run: String,
-    batch: u64,
-    attempt: u32,
-    alignment: Alignment,
-}
-
-impl BatchFile {
-    fn read(path: &PathBuf) -> Option<Begun> {
-        let text = std::fs::read_to_string(path).ok()?;
-        let Self { run, batch, attempt, alignment } = toml::from_str(&text).ok()?;
-        let run = u64::from_str_radix(&run, 16).ok()?;
-        Some(Begun { attempt: Attempt { run, batch, attempt, reserved: 0 }, alignment })
-    }
-
-    fn write(path: &PathBuf, begun: Begun) -> Result<()> {
-        let Begun { attempt: Attempt { run, batch, attempt, .. }, alignment } = begun;
-        let run = format!("{run:016x}");
-        let text = toml::to_string(&Self { run, batch, attempt, alignment })?;
-        // By rename, so that there is never half a file.
-        let new = path.with_extension("new");
-        std::fs::write(&new, text)?;
-        Ok(std::fs::rename(&new, path)?)
     }
 }

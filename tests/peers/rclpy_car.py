@@ -1,0 +1,85 @@
+"""A ROS 2 node that is a car, by rclpy over the middleware that ROS 2 ships with.
+
+The car is CommonRoad's model, as in ros2_car.py. Without ackermann_msgs it takes geometry_msgs/Twist: a speed and a yaw
+rate. Needs the packages ros-rclpy[fastrtps], ros-nav-msgs and ros-geometry-msgs.
+"""
+
+import argparse
+import json
+import math
+import os
+import time
+
+os.environ.setdefault("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+
+import rclpy  # noqa: E402
+from geometry_msgs.msg import Twist  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+
+from commonroad import Car  # noqa: E402
+
+STEP_S = 0.01
+WHEELBASE_M = 2.58
+
+
+class Node:
+    """The car's node: odometry out, commands in, both as ROS 2 does by default."""
+
+    def __init__(self):
+        self.node = rclpy.create_node("car")
+        self.odometry = self.node.create_publisher(Odometry, "/odom", 10)
+        self.node.create_subscription(Twist, "/drive", self.hear, 10)
+        self.speed_mps, self.angle_rad, self.heard = 0.0, 0.0, 0
+
+    def hear(self, twist):
+        self.heard += 1
+        self.speed_mps = twist.linear.x
+        if self.speed_mps != 0.0:
+            self.angle_rad = math.atan(WHEELBASE_M * twist.angular.z / self.speed_mps)
+
+    def tell(self, car):
+        message = Odometry(child_frame_id="base_link")
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        message.header.frame_id = "odom"
+        x, y, yaw = car.pose()
+        pose, twist = message.pose.pose, message.twist.twist
+        pose.position.x, pose.position.y = float(x), float(y)
+        pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+        forward, left, yaw_rate = car.speeds()
+        twist.linear.x, twist.linear.y = float(forward), float(left)
+        twist.angular.z = float(yaw_rate)
+        self.odometry.publish(message)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--domain", type=int, required=True)
+    parser.add_argument("--log", required=True)
+    args = parser.parse_args()
+    os.environ["ROS_DOMAIN_ID"] = str(args.domain)
+    rclpy.init()
+    node, car = Node(), Car(0.0, 0.0, 0.0)
+    due = time.monotonic()
+    with open(args.log, "w", buffering=1) as log:
+        while rclpy.ok():
+            due += STEP_S
+            # Until nothing has come any more, or the next step is due.
+            heard = -1
+            while heard != node.heard and time.monotonic() < due:
+                heard = node.heard
+                rclpy.spin_once(node.node, timeout_sec=0)
+            car.step(STEP_S, node.speed_mps, node.angle_rad)
+            node.tell(car)
+            x, y, yaw = (float(number) for number in car.pose())
+            line = {"t_ns": time.monotonic_ns(), "x_m": x, "y_m": y, "yaw_rad": yaw}
+            line |= {"speed_mps": float(car.speeds()[0]), "heard": node.heard}
+            line |= {"told_mps": node.speed_mps, "told_rad": node.angle_rad}
+            print(json.dumps(line), file=log)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        pass
