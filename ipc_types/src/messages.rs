@@ -221,7 +221,7 @@ constants!(
 
 message!(
     /// What the gate of one vehicle does, and why. Sent by the supervisor before every command in real time, in lockstep
-    /// when `state` or `clock_rate` changes; the last one is kept for late joiners.
+    /// when `state`, `reasons` or `clock_rate` changes; the last one is kept for late joiners.
     #[name = "pathtune.Safety#cc6e30aa"]
     pub struct Safety {
         /// Tick of the odometry that it rests on.

@@ -176,7 +176,7 @@ impl<P: Plant> Rollout<P> {
 
 /// What the controller hears of the gate. In lockstep nobody rearms a vehicle: every stop ends the drive.
 fn gate_word(watch: &Watch) -> GateWord {
-    let (state, reasons) = (watch.state(), watch.safety().reasons);
+    let (state, reasons) = (watch.state(), watch.reasons());
     let is_stopped = state.is_latched();
     GateWord { reasons, is_stopped, stands: state == State::Stopped, is_final: is_stopped }
 }

@@ -146,6 +146,11 @@ impl Watch {
         self.guard.rearm(faults | self.odometry_faults | self.drive_faults())
     }
 
+    /// Bits of [`Safety::reasons`]: what is wrong now, or was when the vehicle was stopped.
+    pub fn reasons(&self) -> u32 {
+        self.guard.reasons()
+    }
+
     /// The state.
     pub fn state(&self) -> State {
         self.guard.state()

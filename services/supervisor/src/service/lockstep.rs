@@ -4,7 +4,7 @@ use anyhow::Result;
 use ipc_types::{Odometry, RawCommand, TickHeader, Zone};
 use runtime::Received;
 
-use super::{Supervisor, announce, tell_safety};
+use super::{Slot, Supervisor, announce, tell_safety};
 
 impl Supervisor {
     /// Takes the odometry and the answer of a tick, and sends its command. It does all of this for one vehicle after
@@ -33,10 +33,11 @@ impl Supervisor {
                 let from_tick = header.tick + 1;
                 entered.push(Zone { from_tick, slot: index as u32, zone });
             }
-            let before = (slot.watch.state(), slot.told_rate);
+            let told = |slot: &Slot| (slot.watch.state(), slot.watch.reasons(), slot.told_rate);
+            let before = told(slot);
             let (command, rejected) = slot.command(tick_s, 0, true);
             slot.told_rate = slot.clock_rate();
-            tells_safety |= (slot.watch.state(), slot.told_rate) != before;
+            tells_safety |= told(slot) != before;
             counters.rejected += u64::from(rejected);
             command
         };

@@ -1,0 +1,172 @@
+//! How a vehicle drives: its deviation from the path, and its response to commands.
+
+use config::{Layers, RunConfig};
+use ipc_types::Safety;
+use supervisor::{Deviation, Movement, RawCommand, Response, State, Watch};
+use tracking::Pose;
+
+const TICK_S: f64 = 0.01;
+
+/// A straight of 50 m along x, and the guarded car.
+fn config(sets: &[&str]) -> RunConfig {
+    let mut layers = Layers::maneuver("lane_change").unwrap();
+    layers.set_vehicle("test", "tesla_model_3_guarded").unwrap();
+    layers.set("path.pieces=[{kind='straight',length_m=50.0}]").unwrap();
+    layers.set("vehicle.gear_engaged=true").unwrap();
+    for set in sets {
+        layers.set(set).unwrap();
+    }
+    layers.resolve().unwrap()
+}
+
+fn pose(x_m: f64, y_m: f64, yaw_rad: f64) -> Pose {
+    Pose { x_m, y_m, yaw_rad }
+}
+
+fn deviation_faults(config: &RunConfig, poses: impl Iterator<Item = Pose>) -> u32 {
+    let mut deviation = Deviation::new(config).unwrap();
+    poses.for_each(|pose| deviation.see(pose));
+    deviation.faults()
+}
+
+#[test]
+fn distance_and_heading_are_limited_as_means() {
+    let config = config(&[]);
+    let stay = |at: Pose| std::iter::repeat_n(at, 10);
+    let check = |at: Pose, wanted: u32| assert_eq!(deviation_faults(&config, stay(at)), wanted);
+    check(pose(10.0, 2.99, 0.0), 0);
+    check(pose(10.0, -3.01, 0.0), Safety::PATH_DISTANCE);
+    check(pose(53.1, 0.0, 0.0), Safety::PATH_DISTANCE);
+    check(pose(10.0, 0.0, -0.79), 0);
+    check(pose(10.0, 0.0, 0.81), Safety::PATH_HEADING);
+    // A yaw that has gone around, or wraps around within a mean, is the same.
+    check(pose(10.0, 0.0, std::f64::consts::TAU), 0);
+    let wrapping = (0..10).map(|tick| {
+        let yaw_rad = std::f64::consts::PI - 0.01 + 0.002 * f64::from(tick);
+        pose(10.0, 4.0, tracking::wrap_angle(yaw_rad))
+    });
+    assert_eq!(deviation_faults(&config, wrapping), Safety::PATH_DISTANCE | Safety::PATH_HEADING);
+    // Less than a mean says nothing, and neither do single poses that are far off.
+    assert_eq!(deviation_faults(&config, stay(pose(10.0, 9.0, 0.0)).take(9)), 0);
+    let noisy = (0..10).map(|tick| pose(10.0, if tick % 2 == 0 { 5.0 } else { -5.0 }, 0.0));
+    assert_eq!(deviation_faults(&config, noisy), 0);
+}
+
+#[test]
+fn limits_scale_with_the_wheelbase_and_with_noise_and_are_off_for_the_paper() {
+    let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} {b}");
+    near(config(&[]).path_distance_limit_m(), 3.0);
+    near(config(&["vehicle.wheelbase_m=0.575"]).path_distance_limit_m(), 0.6);
+    near(config(&["noise.enabled=true"]).path_distance_limit_m(), 3.1);
+    near(config(&["noise.enabled=true"]).path_heading_limit_rad(), 0.888);
+    near(config(&["vehicle.safety.path_distance_limit_m=2"]).path_distance_limit_m(), 2.0);
+    let paper = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+    assert!(Deviation::new(&paper).is_none() && Response::new(&paper).is_none());
+    let off = config(&["vehicle.safety.watch_response='off'"]);
+    assert!(Response::new(&off).is_none() && Deviation::new(&off).is_some());
+    let mut layers = Layers::maneuver("lane_change").unwrap();
+    let wrong = layers.set("vehicle.safety.path_distance_limit_m='wide'");
+    assert!(wrong.is_err() || layers.resolve().is_err());
+}
+
+#[test]
+fn a_vehicle_that_was_lost_is_looked_for_near_the_reference() {
+    let mut deviation = Deviation::new(&config(&[])).unwrap();
+    let see = |deviation: &mut Deviation| {
+        (0..10).for_each(|_| deviation.see(pose(30.0, 4.0, 0.0)));
+        deviation.faults()
+    };
+    assert_eq!(see(&mut deviation), Safety::PATH_DISTANCE);
+    deviation.lose();
+    assert_eq!((deviation.faults(), see(&mut deviation)), (0, 0));
+    deviation.look_near(30.0);
+    assert_eq!(see(&mut deviation), Safety::PATH_DISTANCE);
+}
+
+/// Drives with a command for some seconds; the vehicle's speed and the tangent of its steering angle are given.
+fn respond(
+    response: &mut Response,
+    seconds: f64,
+    (told_mps, told_rad): (f64, f64),
+    (speed_mps, shown): (f64, f64),
+) -> u32 {
+    let first = 1 + (TICK_S.recip() * 1000.0) as u64 * u64::from(response.faults() != 0);
+    for tick in first..first + (seconds / TICK_S) as u64 {
+        response.tell(told_mps, told_rad);
+        let yaw_rate_radps = speed_mps * shown / 2.875;
+        response.see(tick, Movement { speed_mps, yaw_rate_radps, ..Movement::default() }, true);
+    }
+    response.faults()
+}
+
+#[test]
+fn each_way_of_not_doing_as_told_has_its_reason() {
+    let check = |seconds: f64, told: (f64, f64), does: (f64, f64), wanted: u32| {
+        let mut response = Response::new(&config(&[])).unwrap();
+        let faults = respond(&mut response, seconds, told, does);
+        assert_eq!(faults, wanted, "{told:?} {does:?} after {seconds} s");
+    };
+    let tan = |angle: f64| libm::tan(angle);
+    check(10.0, (1.5, 0.2), (1.5, tan(0.2)), 0);
+    check(1.0, (1.5, 0.2), (1.5, -tan(0.2)), Safety::STEERING_REVERSED | Safety::STEERING_IGNORED);
+    check(0.6, (1.5, 0.05), (1.5, -tan(0.05)), Safety::STEERING_REVERSED);
+    check(0.2, (1.5, 0.05), (1.5, -tan(0.05)), 0);
+    // It creeps: the yaw rate says nothing.
+    check(5.0, (0.5, 0.2), (0.5, -tan(0.2)), 0);
+    check(1.5, (1.5, 0.3), (1.5, 0.0), Safety::STEERING_IGNORED);
+    check(1.5, (1.5, 0.0), (1.5, 0.12), Safety::STEERING_IGNORED);
+    check(10.0, (1.5, 0.0), (1.5, 0.04), 0);
+    check(10.0, (1.5, 0.3), (1.5, 0.7 * tan(0.3)), 0);
+    check(1.0, (1.5, 0.0), (4.0, 0.0), Safety::SPEED_IGNORED);
+    check(10.0, (1.5, 0.0), (1.7, 0.0), 0);
+    check(10.0, (-4.0, 0.0), (0.0, 0.0), 0);
+    check(1.9, (1.5, 0.0), (0.0, 0.0), 0);
+    check(2.3, (1.5, 0.0), (0.0, 0.0), Safety::STANDS);
+    check(10.0, (0.1, 0.0), (0.0, 0.0), 0);
+}
+
+#[test]
+fn a_gear_that_is_not_engaged_yet_is_waited_for() {
+    let config = config(&["vehicle.gear_engaged=false"]);
+    let mut response = Response::new(&config).unwrap();
+    assert_eq!(respond(&mut response, 4.0, (1.5, 0.0), (0.0, 0.0)), 0);
+    let mut response = Response::new(&config).unwrap();
+    assert_eq!(respond(&mut response, 4.4, (1.5, 0.0), (0.0, 0.0)), Safety::STANDS);
+}
+
+#[test]
+fn a_vehicle_that_stops_on_its_own_steers_straight_and_may_stand() {
+    let mut response = Response::new(&config(&[])).unwrap();
+    response.resume(1.5, 0.0);
+    for tick in 0..1000 {
+        response.tell(1.5, 0.3);
+        let speed_mps = (1.5 - 2.0 * TICK_S * tick as f64).max(0.0);
+        response.see(tick, Movement { speed_mps, ..Movement::default() }, false);
+        assert_eq!(response.faults(), 0, "tick {tick}");
+    }
+}
+
+#[test]
+fn what_is_only_told_changes_no_state_and_a_wrong_sign_stops_at_once() {
+    let drive = |shown: f64, speed_mps: f64, told_rad: f64| {
+        let mut watch = Watch::new(&config(&[]));
+        let wanted = RawCommand { speed_mps: 1.5, yaw_rate_radps: 0.0, steering_rad: told_rad };
+        let (mut states, mut reasons) = (Vec::new(), 0);
+        for tick in 0..300 {
+            let yaw_rate_radps = speed_mps * shown / 2.875;
+            let movement = Movement { speed_mps, yaw_rate_radps, ..Movement::default() };
+            watch.see(tick, movement, true);
+            watch.command(TICK_S, 0, Some(wanted));
+            states.push(watch.state());
+            reasons |= watch.reasons();
+        }
+        states.dedup();
+        (states, reasons)
+    };
+    assert_eq!(drive(0.0, 0.0, 0.0), (vec![State::Normal], Safety::STANDS));
+    let (states, reasons) = drive(-0.05, 1.5, 0.05);
+    assert_eq!((states, reasons), (vec![State::Normal, State::Stopping], Safety::STEERING_REVERSED));
+    let (states, reasons) = drive(0.15, 1.5, 0.0);
+    let all = vec![State::Normal, State::Degraded, State::Stopping];
+    assert_eq!((states, reasons), (all, Safety::STEERING_IGNORED));
+}
