@@ -91,7 +91,12 @@ fn scan_bytes(
         }
         let body = source.read(size as usize)?;
         match opcode {
-            FOOTER if has_data_ended => return Ok(End::Whole),
+            FOOTER if has_data_ended => {
+                let is_closed =
+                    source.left >= MAGIC.len() as u64 && source.read(MAGIC.len())? == MAGIC;
+                let missing = || End::CutOff("its last bytes are missing".to_owned());
+                return Ok(if is_closed { End::Whole } else { missing() });
+            }
             FOOTER => return damaged("the end of the data is missing"),
             DATA_END => {
                 has_data_ended = true;
