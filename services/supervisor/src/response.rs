@@ -25,7 +25,7 @@ const CLEAR_RAD: f64 = 0.02;
 const STEERING_SHARE: f64 = 0.4;
 const STEERING_RAD: f64 = 0.05;
 /// How much steering the wrong way round, and how much beyond that difference, is too much.
-const REVERSED_RAD_S: f64 = 0.015;
+const REVERSED_RAD_S: f64 = 0.025;
 const ASTRAY_RAD_S: f64 = 0.05;
 /// How much faster than told the vehicle may be: by this share, and by this speed.
 const SPEED_SHARE: f64 = 0.25;
