@@ -326,19 +326,23 @@ class DriveReport(Struct):
         ("learner", ctypes.c_uint32),
         ("step", ctypes.c_uint32),
         ("reason", ctypes.c_uint32),
+        ("stopped_for", ctypes.c_uint32),
+        ("slowed_for", ctypes.c_uint32),
         ("flags", ctypes.c_uint32),
     ]
     TIME = 1
     GOAL = 2
     COLLISION = 3
+    HELD = 4
+    STOPPED = 5
     JOINED = 256
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.DriveReport#02c6c037"
+        return "pathtune.DriveReport#f08ef248"
 
 
-assert ctypes.sizeof(DriveReport) == 272, "DriveReport"
+assert ctypes.sizeof(DriveReport) == 280, "DriveReport"
 assert DriveReport.parameters.offset == 0, "DriveReport.parameters"
 assert DriveReport.seed.offset == 128, "DriveReport.seed"
 assert DriveReport.ticks.offset == 136, "DriveReport.ticks"
@@ -359,7 +363,9 @@ assert DriveReport.lateral_acceleration_max_mps2.offset == 248, "DriveReport.lat
 assert DriveReport.learner.offset == 256, "DriveReport.learner"
 assert DriveReport.step.offset == 260, "DriveReport.step"
 assert DriveReport.reason.offset == 264, "DriveReport.reason"
-assert DriveReport.flags.offset == 268, "DriveReport.flags"
+assert DriveReport.stopped_for.offset == 268, "DriveReport.stopped_for"
+assert DriveReport.slowed_for.offset == 272, "DriveReport.slowed_for"
+assert DriveReport.flags.offset == 276, "DriveReport.flags"
 
 
 class DriveOutcome(Struct):
@@ -370,12 +376,12 @@ class DriveOutcome(Struct):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.DriveOutcome#ac4a0193"
+        return "pathtune.DriveOutcome#a09d68e4"
 
 
-assert ctypes.sizeof(DriveOutcome) == 296, "DriveOutcome"
+assert ctypes.sizeof(DriveOutcome) == 304, "DriveOutcome"
 assert DriveOutcome.report.offset == 0, "DriveOutcome.report"
-assert DriveOutcome.attempt.offset == 272, "DriveOutcome.attempt"
+assert DriveOutcome.attempt.offset == 280, "DriveOutcome.attempt"
 
 
 class Proposal(Struct):
@@ -454,6 +460,14 @@ class Safety(Struct):
     ODOMETRY_JUMP = 16
     TIME_BACK = 32
     RESTARTED = 64
+    PATH_DISTANCE = 128
+    PATH_HEADING = 256
+    STEERING_REVERSED = 512
+    STEERING_IGNORED = 1024
+    SPEED_IGNORED = 2048
+    STANDS = 4096
+    NO_LEG = 65536
+    OF_THE_DRIVE = 3968
 
     @staticmethod
     def type_name() -> str:

@@ -58,6 +58,11 @@ pub(crate) fn sections(page: &mut Page, drive: &SingleDrive, config: &RunConfig)
                 " poses; the cross-track error is measured against the current reference."
                 @if drive.joined { " The controller was restarted during the drive; the measures cover the time since then." }
             }
+            @for (what, reasons) in [("stopped", &drive.stopped_for), ("slowed down", &drive.slowed_for)] {
+                @if !reasons.is_empty() {
+                    p { "The gate " (what) " the vehicle: " (reasons.join(", ").replace('_', " ")) "." }
+                }
+            }
             p {
                 "The commanded steering angle moved by " (number(drive.steering_travel_radps, 3))
                 " rad/s on average, and the lateral acceleration was at most "
