@@ -28,14 +28,20 @@ fn car(process: &str) -> String {
     format!("vehicle={} --exact {process} --ignored --nocapture", this.display())
 }
 
-/// A path's file: points every half metre along a straight line, a bend to the left, and on.
+/// A path's file: straight on, a slight bend to the left, and straight on.
 fn bend() -> String {
     let straight = (0..8).map(|index| (0.5 * f64::from(index), 0.0));
-    let arc = (0..=10).map(|index| {
-        let angle_rad = 0.1 * f64::from(index);
-        (4.0 + 8.0 * angle_rad.sin(), 8.0 * (1.0 - angle_rad.cos()))
+    let turn_rad = 0.3f64;
+    let arc = (0..=6).map(|index| {
+        let angle_rad = turn_rad / 6.0 * f64::from(index);
+        (4.0 + 10.0 * angle_rad.sin(), 10.0 * (1.0 - angle_rad.cos()))
     });
-    csv(straight.chain(arc))
+    let (x_m, y_m) = (4.0 + 10.0 * turn_rad.sin(), 10.0 * (1.0 - turn_rad.cos()));
+    let on = (1..=10).map(|index| {
+        let on_m = 0.5 * f64::from(index);
+        (x_m + on_m * turn_rad.cos(), y_m + on_m * turn_rad.sin())
+    });
+    csv(straight.chain(arc).chain(on))
 }
 
 /// Two legs of 12 m, 1.6 m apart, for a car at the scale of 1:10.
@@ -100,7 +106,17 @@ fn in_lockstep_a_reference_that_waits_is_that_of_plain_calls_bit_for_bit() {
     let path = sandbox.path("bend.csv");
     fs::write(&path, bend()).unwrap();
     let sets = ["vehicle.gear_engaged=false", "vehicle.gear_drive_s=4.0"];
-    let args = ["drive", "--path", "bend.csv", "--vehicle", "ackermann", "--set", sets[0], "--set", sets[1]];
+    let args = [
+        "drive",
+        "--path",
+        "bend.csv",
+        "--vehicle",
+        "ackermann",
+        "--set",
+        sets[0],
+        "--set",
+        sets[1],
+    ];
     let result = sandbox.json("out", &[&args[..], &GAINS].concat());
 
     let mut layers = Layers::own_path();
@@ -144,10 +160,18 @@ fn rearm_beside_the_opposite_leg() {
     fs::write(sandbox.path("hairpin.csv"), hairpin()).unwrap();
     let jumping = car("jumping_car");
     let args = [
-        "--path", "hairpin.csv", "--vehicle", "f1tenth", "--realtime", "--replace", &jumping,
+        "--path",
+        "hairpin.csv",
+        "--vehicle",
+        "f1tenth",
+        "--realtime",
+        "--replace",
+        &jumping,
         // So that it may drive on a metre off the path.
-        "--set", "vehicle.safety.path_distance_limit_m=5",
-        "--set", "vehicle.safety.path_heading_limit_rad=inf",
+        "--set",
+        "vehicle.safety.path_distance_limit_m=5",
+        "--set",
+        "vehicle.safety.path_heading_limit_rad=inf",
     ];
     let mut drive = sandbox.start("drive", "out", &[&args[..], &GAINS].concat());
     drive.wait_for("the run", || sandbox.has_living_run());
@@ -238,7 +262,10 @@ fn every_command_by_the_clock_is_within_every_limit() {
         let (first, last) = (ending[0].1, ending[ending.len() - 1].1);
         println!(
             "{name}: {} commands within all limits; the last {} from {:.2} to {} m/s",
-            all.len(), ending.len(), first.speed_mps, last.speed_mps
+            all.len(),
+            ending.len(),
+            first.speed_mps,
+            last.speed_mps
         );
         assert!(first.speed_mps > 1.0 && last.speed_mps.abs() < 0.05, "{first:?} {last:?}");
         assert!(last.steering_rad.abs() < 1e-9);
@@ -357,7 +384,8 @@ impl Car {
         let seen = self.vehicle.observe();
         let Pose { x_m, y_m, yaw_rad } = self.apart;
         let at = seen.measured;
-        let measured = WirePose { x_m: at.x_m + x_m, y_m: at.y_m + y_m, yaw_rad: at.yaw_rad + yaw_rad };
+        let measured =
+            WirePose { x_m: at.x_m + x_m, y_m: at.y_m + y_m, yaw_rad: at.yaw_rad + yaw_rad };
         self.odometry.send(header, 1, |_| Odometry {
             measured,
             speed_mps: seen.speed_mps,

@@ -37,7 +37,10 @@ fn a_car_that_was_held_arrives_and_never_drives_much_faster_than_the_path_says()
     for (vehicle, held_s) in [("tesla_model_3", 2.0), ("ackermann", 8.0), ("f1tenth", 8.0)] {
         for kv in [0.68, 1.26, 1.84, 2.42, 3.0, 5.8] {
             let (record, highest_mps) = drive(&config(vehicle, held_s, &[]), kv);
-            println!("{vehicle}, {held_s} s, Kv {kv}: {highest_mps:.2} m/s, {} ticks", record.ticks);
+            println!(
+                "{vehicle}, {held_s} s, Kv {kv}: {highest_mps:.2} m/s, {} ticks",
+                record.ticks
+            );
             assert_eq!(record.reason, EndReason::Goal, "{vehicle} {kv}");
             assert!(highest_mps < 1.6 * PATH_MPS, "{vehicle} {kv}: {highest_mps}");
         }
@@ -52,7 +55,8 @@ fn a_car_that_follows_is_hardly_waited_for() {
         for kv in [0.68, 1.26, 1.84, 2.42, 3.0] {
             let engaged = "vehicle.gear_engaged=true";
             let ticks = |sets: &[&str]| drive(&config(vehicle, 0.0, sets), kv).0.ticks as f64;
-            let (with, without) = (ticks(&[engaged]), ticks(&[&[engaged][..], &NEVER_WAITS].concat()));
+            let (with, without) =
+                (ticks(&[engaged]), ticks(&[&[engaged][..], &NEVER_WAITS].concat()));
             assert!((with / without - 1.0).abs() < 0.01, "{vehicle} {kv}: {with} {without}");
         }
     }
@@ -73,7 +77,9 @@ fn the_paper_s_reference_waits_for_nobody() {
     for maneuver in ["lane_change", "roundabout", "circuit"] {
         let mut layers = Layers::maneuver(maneuver).unwrap();
         // The tightest bounds that there are.
-        for set in ["wait_from_speed=1.001", "wait_to_speed=1.002", "wait_from_s=0.0", "wait_to_s=0.001"] {
+        for set in
+            ["wait_from_speed=1.001", "wait_to_speed=1.002", "wait_from_s=0.0", "wait_to_s=0.001"]
+        {
             layers.set(&format!("reference.{set}")).unwrap();
         }
         let parameters = Parameters::of(&[3.0, 21.0, 21.0, 0.7]);

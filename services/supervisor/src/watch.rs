@@ -77,8 +77,11 @@ impl Watch {
             }
         }
         self.odometry_faults = self.plausibility.check(tick, movement);
-        if self.odometry_faults == 0 {
+        if self.odometry_faults & !Safety::ODOMETRY_JUMP == 0 {
+            // Whether the vehicle stands does not depend on where it is.
             self.speed_mps = movement.speed_mps;
+        }
+        if self.odometry_faults == 0 {
             self.allowed_mps = self.governor.allowed_mps(movement.speed_mps);
             if let Some(deviation) = &mut self.deviation {
                 deviation.see(movement.pose);
