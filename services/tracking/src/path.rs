@@ -433,7 +433,7 @@ fn cosine(from_m: f64, start: Pose, length_m: f64, offset_m: f64) -> Vec<Segment
     const ARC_M: f64 = 0.25;
     const MOST_ARCS: f64 = 1000.0;
 
-    let arcs = (length_m / ARC_M).clamp(16.0, MOST_ARCS).ceil() as u32;
+    let arcs = (length_m / ARC_M).clamp(32.0, MOST_ARCS).ceil() as u32;
     // Point and heading after a share of the curve's length.
     let at = |index: u32| {
         let phase_rad = PI * f64::from(index) / f64::from(arcs);
