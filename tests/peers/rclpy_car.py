@@ -57,7 +57,8 @@ def main():
     parser.add_argument("--log", required=True)
     args = parser.parse_args()
     os.environ["ROS_DOMAIN_ID"] = str(args.domain)
-    rclpy.init()
+    # Python's own, by which the interrupt below comes between two calls and not within one.
+    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
     node, car = Node(), Car(0.0, 0.0, 0.0)
     due = time.monotonic()
     with open(args.log, "w", buffering=1) as log:
@@ -81,5 +82,5 @@ def main():
 if __name__ == "__main__":
     try:
         main()
-    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        pass
+    except KeyboardInterrupt:
+        rclpy.shutdown()
