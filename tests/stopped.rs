@@ -81,12 +81,14 @@ fn a_stopped_validation_keeps_its_whole_rows() {
         args.extend(["--gains", set]);
     }
     let whole = sandbox.json("whole", &[&args[..6], &["--gains", &sets[0]]].concat());
-    let output =
-        stop_when(&sandbox, &args, |run| run["batch"].as_u64().unwrap_or_default() > 130);
+    let output = stop_when(&sandbox, &args, |run| run["batch"].as_u64().unwrap_or_default() > 130);
     let after = check_kept(&sandbox, &output);
     let result = sandbox.result("out");
     let rows = result["rows"].as_array().unwrap();
-    assert!((1..20).contains(&rows.len()) && after == format!("{} of 20 sets", rows.len()), "{after}");
+    assert!(
+        (1..20).contains(&rows.len()) && after == format!("{} of 20 sets", rows.len()),
+        "{after}"
+    );
     assert_eq!(rows[0], whole["rows"][0]);
 }
 

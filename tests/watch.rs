@@ -53,8 +53,7 @@ fn far_off_the_path_drives_on() {
     let config = std::fs::read_to_string(sandbox.path("bent_vehicle/config.toml")).unwrap();
     let config = RunConfig::from_resolved(&config).unwrap();
     let car = FaultyCar::new(&config, BENT, 0, u64::MAX);
-    let record =
-        Rollout::around(car, &config).drive(Parameters::of(&[3.0, 21.0, 21.0, 0.7]), None);
+    let record = Rollout::around(car, &config).drive(Parameters::of(&[3.0, 21.0, 21.0, 0.7]), None);
     let ticks = (result["driven_s"].as_f64().unwrap() / config.drive.tick_s).round() as u64;
     assert_eq!((ticks, result["path_max_m"].as_f64()), (record.ticks, Some(record.path_max_m)));
     sandbox.assert_clean();

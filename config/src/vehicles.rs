@@ -99,7 +99,9 @@ mod tests {
         let (config, borrowed) = with_vehicle("name = 'mine'\nwheelbase_m = 0.3\n").unwrap();
         assert_eq!((config.vehicle.wheelbase_m, config.vehicle.mass_kg), (0.3, 2035.0));
         let borrowed = borrowed.unwrap();
-        for part in ["car.toml", "tesla_model_3", "mass_kg", "safety.jump_limit_m", "steering_delay_s"] {
+        for part in
+            ["car.toml", "tesla_model_3", "mass_kg", "safety.jump_limit_m", "steering_delay_s"]
+        {
             assert!(borrowed.contains(part), "{borrowed:?} lacks {part:?}");
         }
         assert!(!borrowed.contains("wheelbase_m") && !borrowed.contains("ros2"), "{borrowed:?}");

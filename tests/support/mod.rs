@@ -214,7 +214,7 @@ impl Training<'_> {
     pub fn wait_until_it_drives(&mut self) {
         let journal = self.sandbox.path(&self.out).join("journal");
         self.wait_for("the first drives", || {
-            fs::metadata(&journal).is_ok_and(|meta| meta.len() > 2000)
+            fs::metadata(&journal).is_ok_and(|meta| meta.len() > 700)
         });
     }
 

@@ -8,8 +8,8 @@
 use config::RunConfig;
 use tracking::{DelayLine, Part, Pose, Reference, SteeringActuator};
 
-use crate::laws::{LawState, RawCommand};
 use crate::Sight;
+use crate::laws::{LawState, RawCommand};
 
 /// What is known about the steering of one car: its commands on the way, and where its wheels are.
 #[derive(Debug, Clone, PartialEq)]

@@ -187,13 +187,9 @@ impl DriveController {
     pub fn tick(&mut self, phase: Phase, seen: Seen) -> Decision {
         let reference_pose = self.reference.advance(phase.ticks, seen.measured);
         let Seen { measured, speed_mps, yaw_rate_radps, truth, .. } = seen;
-        let sight = Sight::of_vehicle(
-            self.tracked_point_m,
-            self.wheelbase_m,
-            &self.reference,
-            phase.ticks,
-        )
-        .with(reference_pose, measured, speed_mps, yaw_rate_radps, self.near_m);
+        let sight =
+            Sight::of_vehicle(self.tracked_point_m, self.wheelbase_m, &self.reference, phase.ticks)
+                .with(reference_pose, measured, speed_mps, yaw_rate_radps, self.near_m);
         let command = self.law.command(&self.parameters, &sight);
         let error = sight.error;
         self.near_m = sight.near_m();
@@ -230,8 +226,7 @@ impl DriveController {
             EndReason::Goal => 1.0,
             _ => (along_m / path.length_m()).clamp(0.0, 1.0),
         };
-        let record =
-            self.recorder.finish(reason, self.ticks, self.tick_s, progress, self.trace.0);
+        let record = self.recorder.finish(reason, self.ticks, self.tick_s, progress, self.trace.0);
         DriveRecord { stopped_for: self.stopped_for, slowed_for: self.slowed_for, ..record }
     }
 
@@ -332,7 +327,8 @@ mod tests {
     #[test]
     fn a_collision_ends_a_drive() {
         let mut drive = drive(&[]);
-        let ended = drive.tick(Phase::default(), Seen { collision: true, ..still(0.0) }).ended.unwrap();
+        let ended =
+            drive.tick(Phase::default(), Seen { collision: true, ..still(0.0) }).ended.unwrap();
         assert_eq!(ended.reason, EndReason::Collision);
     }
 

@@ -6,13 +6,15 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
 pub mod clock;
+mod compensation;
 mod drive;
 pub mod laws;
+mod quadratic;
 #[cfg(feature = "process")]
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
 mod sight;
 
-pub use drive::{Decision, DriveController, Seen};
+pub use drive::{Decision, DriveController, GateWord, Seen};
 pub use laws::{ControlLaw, LawState, RawCommand};
 pub use sight::Sight;

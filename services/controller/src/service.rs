@@ -90,16 +90,15 @@ impl RollOut {
 
     /// Whether it is over. The slots are those of a batch whose drives have all ended.
     fn is_over(&mut self, now_ns: u64, slots: &[Slot]) -> bool {
-        let (earliest_ns, latest_ns) =
-            *self.within_ns.get_or_insert_with(|| {
-                let fastest_mps = slots.iter().fold(0.0, |fastest: f64, slot| {
-                    let commanded_mps = slot.answer.command.speed_mps.abs();
-                    fastest.max(commanded_mps.min(self.speed_limit_mps))
-                });
-                let stop_s = fastest_mps / self.stop_deceleration_mps2;
-                let after_ns = |time_s: f64| now_ns + (time_s * 1e9) as u64;
-                (after_ns(stop_s), after_ns(2.0 * stop_s + Self::PATIENCE_S))
+        let (earliest_ns, latest_ns) = *self.within_ns.get_or_insert_with(|| {
+            let fastest_mps = slots.iter().fold(0.0, |fastest: f64, slot| {
+                let commanded_mps = slot.answer.command.speed_mps.abs();
+                fastest.max(commanded_mps.min(self.speed_limit_mps))
             });
+            let stop_s = fastest_mps / self.stop_deceleration_mps2;
+            let after_ns = |time_s: f64| now_ns + (time_s * 1e9) as u64;
+            (after_ns(stop_s), after_ns(2.0 * stop_s + Self::PATIENCE_S))
+        });
         let stand = slots.iter().all(|slot| slot.seen.speed_mps.abs() < self.standstill_mps);
         now_ns >= latest_ns || now_ns >= earliest_ns && stand
     }

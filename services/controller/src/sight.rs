@@ -138,7 +138,12 @@ impl<'a> Sight<'a> {
 
     /// The sight of a vehicle that will be at `pose` some ticks from now, on the reference of then, which is put into
     /// `reference`. It knows the lateness of now: speed is commanded with less delay than steering.
-    pub(crate) fn ahead<'b>(&self, reference: &'b mut Reference, ticks: f64, pose: Pose) -> Sight<'b> {
+    pub(crate) fn ahead<'b>(
+        &self,
+        reference: &'b mut Reference,
+        ticks: f64,
+        pose: Pose,
+    ) -> Sight<'b> {
         let lateness_m = self.lateness_m();
         let phase_ticks = self.phase_ticks + ticks;
         let reference_pose = reference.advance(phase_ticks, pose);
@@ -146,13 +151,8 @@ impl<'a> Sight<'a> {
         let near_m = self.near_m.get() + moved_m.copysign(self.speed_mps);
         Sight {
             known_lateness_m: Some(lateness_m),
-            ..Sight::of_vehicle(self.tracked_point_m, self.wheelbase_m, reference, phase_ticks).with(
-                reference_pose,
-                pose,
-                self.speed_mps,
-                self.yaw_rate_radps,
-                near_m,
-            )
+            ..Sight::of_vehicle(self.tracked_point_m, self.wheelbase_m, reference, phase_ticks)
+                .with(reference_pose, pose, self.speed_mps, self.yaw_rate_radps, near_m)
         }
     }
 

@@ -1,7 +1,7 @@
 //! The files of a result, read and written.
 
-use std::path::{Path, PathBuf};
 use std::io;
+use std::path::{Path, PathBuf};
 
 use config::read_small;
 use serde::Serialize;

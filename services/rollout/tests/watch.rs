@@ -166,9 +166,11 @@ fn faulty_vehicles_are_stopped_in_time() {
         [("tesla_model_3_guarded", 1.5), ("ackermann", 2.0), ("f1tenth", 1.5)]
     {
         let config = own_path(vehicle, speed_mps, &noise);
-        let last_m = config.path.points.windows(2).map(|pair| {
-            libm::hypot(pair[1][0] - pair[0][0], pair[1][1] - pair[0][1])
-        });
+        let last_m = config
+            .path
+            .points
+            .windows(2)
+            .map(|pair| libm::hypot(pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]));
         let way_s = last_m.sum::<f64>() / speed_mps;
         let by_m = 1.4 * config.vehicle.wheelbase_m / 2.875;
         let bound_m = if config.vehicle.wheelbase_m > 1.0 { 3.5 } else { 0.8 };
@@ -238,11 +240,9 @@ fn faulty_vehicles_are_stopped_in_time() {
 #[test]
 fn a_lag_that_no_file_states_stops_no_vehicle() {
     let noise = ["noise.enabled=true", "vehicle.gear_engaged=true"];
-    for (vehicle, speed_mps, lag) in [
-        ("tesla_model_3_guarded", 1.5, 0.15),
-        ("ackermann", 2.0, 0.15),
-        ("f1tenth", 1.5, 0.05),
-    ] {
+    for (vehicle, speed_mps, lag) in
+        [("tesla_model_3_guarded", 1.5, 0.15), ("ackermann", 2.0, 0.15), ("f1tenth", 1.5, 0.05)]
+    {
         let config = own_path(vehicle, speed_mps, &noise);
         let mut plant = config.clone();
         plant.vehicle.steering_delay_s += lag;

@@ -13,8 +13,7 @@ const USUAL_FILES: u64 = 4096;
 
 /// Raises the limits that are lower than usual, as far as this user may, for this process and its children.
 pub fn raise() {
-    for (resource, usual) in
-        [(Resource::Stack, USUAL_STACK_BYTES), (Resource::Nofile, USUAL_FILES)]
+    for (resource, usual) in [(Resource::Stack, USUAL_STACK_BYTES), (Resource::Nofile, USUAL_FILES)]
     {
         let limits = getrlimit(resource);
         let wanted = limits.maximum.map_or(usual, |most| most.min(usual));

@@ -27,10 +27,9 @@ const CUT: &str = "were left out; PATHTUNE_LOG_MIB sets the limit";
 pub fn limit() -> Result<u64, String> {
     let Some(text) = std::env::var_os(LIMIT_VARIABLE) else { return Ok(USUAL_MIB << 20) };
     let number = text.to_str().and_then(|text| text.parse::<u64>().ok());
-    number
-        .filter(|mib| (1..=1 << 20).contains(mib))
-        .map(|mib| mib << 20)
-        .ok_or_else(|| format!("{LIMIT_VARIABLE}={}: give a number of MiB, as in 16", text.display()))
+    number.filter(|mib| (1..=1 << 20).contains(mib)).map(|mib| mib << 20).ok_or_else(|| {
+        format!("{LIMIT_VARIABLE}={}: give a number of MiB, as in 16", text.display())
+    })
 }
 
 /// A log that is being written.
@@ -84,7 +83,8 @@ impl LogFile {
             dup2_stderr(&self.file)?;
         }
         if self.left_out > 0 {
-            let line = format!("pathtune: {} bytes before {} {CUT}\n", self.left_out, old.display());
+            let line =
+                format!("pathtune: {} bytes before {} {CUT}\n", self.left_out, old.display());
             self.file.write_all(line.as_bytes())?;
         }
         Ok(())
@@ -113,7 +113,8 @@ pub fn is_cut(path: &Path) -> bool {
     }
     let mut line = Vec::new();
     let read = File::open(path).and_then(|file| file.take(4096).read_to_end(&mut line));
-    read.is_ok() && String::from_utf8_lossy(&line).lines().next().is_some_and(|it| it.ends_with(CUT))
+    read.is_ok()
+        && String::from_utf8_lossy(&line).lines().next().is_some_and(|it| it.ends_with(CUT))
 }
 
 /// The file with the older half of the log at `path`.

@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 /// Name of the file in a run's folder that its orchestrator keeps locked for as long as it lives.
 pub const LOCK_FILE: &str = "lock";
 
-
 /// What names a run on its machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RunNames {

@@ -84,11 +84,7 @@ struct Step {
 impl Step {
     /// The command that acts in this step.
     #[inline]
-    fn arrived(
-        &self,
-        given: Commanded,
-        on_the_way: Option<&DelayLine<Commanded>>,
-    ) -> Commanded {
+    fn arrived(&self, given: Commanded, on_the_way: Option<&DelayLine<Commanded>>) -> Commanded {
         let Some(line) = on_the_way else { return given };
         let [speed_ago, steering_ago] = self.part.ago;
         Commanded {
@@ -111,8 +107,7 @@ impl SimulatedVehicle {
             noise: None,
             gear: GearSelector::new(&vehicle),
             lateral: Lateral::new(&vehicle),
-            on_the_way: is_delayed
-                .then(|| Box::new(DelayLine::new(&parts, Commanded::default()))),
+            on_the_way: is_delayed.then(|| Box::new(DelayLine::new(&parts, Commanded::default()))),
             rear_axle: Pose::default(),
             speed_mps: 0.0,
             yaw_rate_radps: 0.0,

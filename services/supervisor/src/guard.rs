@@ -81,11 +81,8 @@ impl Guard {
                 self.faulty_s += dt_s;
                 self.reasons = faults;
                 let lasts = self.faulty_s > self.degraded_limit_s;
-                self.state = if lasts || faults & AT_ONCE != 0 {
-                    State::Stopping
-                } else {
-                    State::Degraded
-                };
+                self.state =
+                    if lasts || faults & AT_ONCE != 0 { State::Stopping } else { State::Degraded };
             }
             State::Stopping => {
                 let stands = self.stands(commanded_mps, measured_mps);

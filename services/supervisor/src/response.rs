@@ -166,8 +166,7 @@ impl Response {
         // A negative speed only brakes.
         self.ceiling_mps = slowed_mps.max(told_mps).max(0.0);
         let (error_mps, (least, most)) = (told_mps - speed_mps, self.integral_bounds);
-        self.integral =
-            (self.integral + self.speed_ki * error_mps * lasted_s).max(least).min(most);
+        self.integral = (self.integral + self.speed_ki * error_mps * lasted_s).max(least).min(most);
         if self.speed_kp * error_mps + self.integral > 0.0 {
             self.ceiling_mps = self.ceiling_mps.max(speed_mps);
         }
@@ -219,8 +218,7 @@ impl Response {
         let sign = if is_reversed { 1.0 } else { -1.0 };
         self.reversed_rad_s = (self.reversed_rad_s + sign * size * lasted_s).max(0.0);
         let beyond = (shown - told).abs() - STEERING_SHARE * size - STEERING_RAD;
-        self.astray_rad_s =
-            (self.astray_rad_s + beyond * lasted_s).clamp(0.0, 2.0 * ASTRAY_RAD_S);
+        self.astray_rad_s = (self.astray_rad_s + beyond * lasted_s).clamp(0.0, 2.0 * ASTRAY_RAD_S);
     }
 
     /// Bits of [`Safety::reasons`]: what the vehicle does not do as it is told.

@@ -165,7 +165,10 @@ fn what_is_only_told_changes_no_state_and_a_wrong_sign_stops_at_once() {
     };
     assert_eq!(drive(0.0, 0.0, 0.0), (vec![State::Normal], Safety::STANDS));
     let (states, reasons) = drive(-0.05, 1.5, 0.05);
-    assert_eq!((states, reasons), (vec![State::Normal, State::Stopping], Safety::STEERING_REVERSED));
+    assert_eq!(
+        (states, reasons),
+        (vec![State::Normal, State::Stopping], Safety::STEERING_REVERSED)
+    );
     let (states, reasons) = drive(0.15, 1.5, 0.0);
     let all = vec![State::Normal, State::Degraded, State::Stopping];
     assert_eq!((states, reasons), (all, Safety::STEERING_IGNORED));

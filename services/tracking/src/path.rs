@@ -505,7 +505,9 @@ mod tests {
         use std::f64::consts::PI;
         for (length_m, offset_m) in [(18.0, -3.5), (2.0, 0.5), (5000.0, 100.0)] {
             let cosine = format!("{{kind='cosine',length_m={length_m:?},offset_m={offset_m:?}}}");
-            let path = path(&format!("[{{kind='straight',length_m=8.0}},{cosine},{{kind='straight',length_m=4.0}}]"));
+            let path = path(&format!(
+                "[{{kind='straight',length_m=8.0}},{cosine},{{kind='straight',length_m=4.0}}]"
+            ));
             let end = path.end();
             assert!((end.x_m - 12.0 - length_m).abs() < 1e-9 && (end.y_m - offset_m).abs() < 1e-9);
             assert_eq!(end.yaw_rad, 0.0);

@@ -70,7 +70,8 @@ impl SingleDrive {
         let progress = (along_m / path.length_m()).clamp(0.0, 1.0);
         let tick_s = self.config.drive.tick_s;
         let record = recorder.finish(EndReason::Time, ticks, tick_s, progress, 0);
-        let has_truth = rows.iter().any(|row| (row.x_m, row.y_m) != (row.measured_x_m, row.measured_y_m));
+        let has_truth =
+            rows.iter().any(|row| (row.x_m, row.y_m) != (row.measured_x_m, row.measured_y_m));
         let report = DriveReport {
             parameters: self.sets.first()?.0,
             ticks: record.ticks,

@@ -66,7 +66,15 @@ impl Sweeping {
         let is_watched = records || drives.iter().any(|drive| drive.by_zone.len() > 1);
         let step = if is_watched { place.incarnation as u32 } else { 0 };
         let sweep = Sweep::new(first_learner, step, place.ticks, drives);
-        Ok(Self { place, sweep, recorder, unrecorded: Vec::new(), recorded: Vec::new(), lacking: BTreeMap::new(), last_rows: Vec::new() })
+        Ok(Self {
+            place,
+            sweep,
+            recorder,
+            unrecorded: Vec::new(),
+            recorded: Vec::new(),
+            lacking: BTreeMap::new(),
+            last_rows: Vec::new(),
+        })
     }
 
     /// The drives that are still wanted, at most as many as one message carries.

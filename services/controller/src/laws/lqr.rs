@@ -77,8 +77,7 @@ impl GainTable {
         let below = (place as usize).min(last - 1);
         let mut row = |index: usize| {
             let row_mps = self.step_mps * (index + 1) as f64;
-            *self.rows[index]
-                .get_or_insert_with(|| regulator(weights, row_mps, car))
+            *self.rows[index].get_or_insert_with(|| regulator(weights, row_mps, car))
         };
         let (low, high) = (row(below), row(below + 1));
         low + (high - low) * (place - below as f64)
@@ -180,9 +179,7 @@ impl Law for Lqr {
         let circle_rad = libm::atan(wheelbase_m * curvature / (1.0 - sin * sin).sqrt());
         let last_rad = self.steering.angle_rad();
         let phi = self.steering.hold(
-            last_rad
-                + k[0] * error.cross_track_m
-                + k[1] * (error.heading_rad - libm::asin(sin))
+            last_rad + k[0] * error.cross_track_m + k[1] * (error.heading_rad - libm::asin(sin))
                 - k[2] * (last_rad - circle_rad),
         );
         let speed_mps = sight.reference_speed_mps() + kv * sight.lateness_m();
@@ -211,26 +208,16 @@ mod tests {
                 assert!((found - wanted).abs() < 1e-9, "{speed_mps}: {found} {wanted}");
             }
         };
-        check(1.0, 1.0, 0.1, 1.5, [
-            0.030909650256256856,
-            0.06418437985832263,
-            0.04459352103634139,
-        ]);
-        check(1.0, 1.0, 0.1, 8.0, [
-            0.03017668813648135,
-            0.09693687355516108,
-            0.08936749311348174,
-        ]);
-        check(0.01, 0.5, 1.0, 3.5, [
-            0.0009898501980844378,
-            0.011671135909953495,
-            0.020196585350723165,
-        ]);
-        check(30.0, 30.0, 0.01, 0.5, [
-            0.5166558184370248,
-            0.3693375579996349,
-            0.11022255091736483,
-        ]);
+        check(1.0, 1.0, 0.1, 1.5, [0.030909650256256856, 0.06418437985832263, 0.04459352103634139]);
+        check(1.0, 1.0, 0.1, 8.0, [0.03017668813648135, 0.09693687355516108, 0.08936749311348174]);
+        check(
+            0.01,
+            0.5,
+            1.0,
+            3.5,
+            [0.0009898501980844378, 0.011671135909953495, 0.020196585350723165],
+        );
+        check(30.0, 30.0, 0.01, 0.5, [0.5166558184370248, 0.3693375579996349, 0.11022255091736483]);
     }
 
     fn config(sets: &[&str]) -> RunConfig {

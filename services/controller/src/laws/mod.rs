@@ -6,6 +6,7 @@
 
 mod held_steering;
 mod lqr;
+mod mpc;
 mod paper;
 mod pure_pursuit;
 mod stanley;
@@ -120,6 +121,7 @@ macro_rules! laws {
 
 laws! {
     "lqr" => Lqr(lqr::Lqr),
+    "mpc" => Mpc(mpc::Mpc),
     "paper" => Paper(paper::Paper),
     "pure_pursuit" => PurePursuit(pure_pursuit::PurePursuit),
     "stanley" => Stanley(stanley::Stanley),

@@ -52,7 +52,8 @@ impl Law for PurePursuit {
         let [kv, ld_min_m, ld_s, filter, ..] = parameters.0;
         let rear = sight.rear_axle();
         let ahead_m = ld_min_m + ld_s * sight.speed_mps.abs();
-        let from_m = if self.nearest { sight.project(rear).along_m } else { sight.reference_along_m() };
+        let from_m =
+            if self.nearest { sight.project(rear).along_m } else { sight.reference_along_m() };
         let (x_m, y_m) = seen_from(rear, sight.path_ahead_or_beyond(from_m, ahead_m));
         let nearest_m = Self::NEAREST_GOAL * ahead_m;
         let apart_m2 = (x_m * x_m + y_m * y_m).max(nearest_m * nearest_m);

@@ -204,8 +204,7 @@ impl Supervisor {
             };
             // The controller looks for the same place when it hears that the vehicle drives on.
             let leg = self.reference.leg_m(slot.measured, slot.raw.reference_along_m);
-            let rearmed =
-                slot.watch.rearm(faults | if leg.is_some() { 0 } else { Safety::NO_LEG });
+            let rearmed = slot.watch.rearm(faults | if leg.is_some() { 0 } else { Safety::NO_LEG });
             tracing::info!(slot = rearm.slot, rearmed, "rearm");
         }
         Ok(true)

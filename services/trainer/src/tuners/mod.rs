@@ -158,7 +158,8 @@ mod tests {
 
     fn config(tuner: &str) -> RunConfig {
         let mut layers = Layers::maneuver("lane_change").unwrap();
-        for set in ["learning.episodes=4", "learning.step_limit=9", "learning.bins=8", "run.seed=7"] {
+        for set in ["learning.episodes=4", "learning.step_limit=9", "learning.bins=8", "run.seed=7"]
+        {
             layers.set(set).unwrap();
         }
         layers.set(&format!("learning.tuner={tuner}")).unwrap();
