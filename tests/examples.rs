@@ -272,7 +272,7 @@ fn by_the_clock_figures_come_from_finalists_and_the_paper_s_set() {
     }
     for row in [&result, &result["paper"]] {
         assert_eq!(row["spread"]["drives"], 2, "{row}");
-        assert!(row["distance"].as_f64().unwrap() > 0.0);
+        assert!(row["mse_m2"].as_f64().unwrap() > 0.0);
     }
     // The finalists' drives are those of the table: on a car none is made twice.
     assert_eq!(drives["for_table"], 0);

@@ -133,7 +133,9 @@ fn print_vehicle_drives(
     config: &RunConfig,
 ) -> Result<(), Failure> {
     if drives.repeats {
-        say!("all figures are of drives that the vehicle made, none of our simulator");
+        say!(
+            "all figures are of drives that the vehicle made; none is computed with our simulator"
+        );
         return Ok(());
     }
     let of_grid = match drives.of_grid_set {
@@ -141,8 +143,9 @@ fn print_vehicle_drives(
         count => format!("; each other set of the grid was driven {count} times"),
     };
     say!(
-        "all figures are means over drives that the vehicle made, none of our simulator{of_grid}\nthe vehicle does not \
-         repeat itself: the same training comes to another result and digest the next time"
+        "all figures are means over drives that the vehicle made; none is computed with our simulator{of_grid}\n\
+         the vehicle does not repeat itself, as --deterministic would say: the same training comes to another result and \
+         digest the next time"
     );
     for row in rows {
         let Some(spread) = &row.spread else { continue };
@@ -184,6 +187,9 @@ fn print_choice_by_means(
     if config.noise.enabled && config.vehicle.gear_engaged {
         say!("all drives, noise-free ones too, began with the drive gear engaged");
     }
+    // Without noise there is nothing that two drives have in common.
+    let (paired, same) =
+        if config.noise.enabled { ("paired ", "the same ") } else { ("", "each one's ") };
     let against = |name: &str, it: &Comparison| -> Result<(), Failure> {
         if it.gains == chosen.gains {
             return Ok(());
@@ -194,16 +200,11 @@ fn print_choice_by_means(
             Verdict::Undecided => "not distinguishable from",
         };
         say!(
-            "{verdict} {name}: {} {} [{}, {}] over {} drives",
-            if config.noise.enabled { "paired difference" } else { "difference" },
+            "{verdict} {name}: {paired}difference {} [{}, {}] over {same}{} drives",
             digits(it.difference, 4),
             digits(it.low, 4),
             digits(it.high, 4),
-            if config.noise.enabled {
-                format!("the same {}", noise.repeats)
-            } else {
-                format!("{} each", noise.repeats)
-            },
+            noise.repeats,
         );
         Ok(())
     };

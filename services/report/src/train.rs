@@ -173,7 +173,7 @@ fn vehicle_drives(drives: &VehicleDrives, train: &TrainResult) -> Markup {
     let within = |it: outcome::Interval, digits| html! { "[" (number(it.low, digits)) ", " (number(it.high, digits)) "]" };
     html! {
         li {
-            "All figures are of drives that the vehicle made, none of our simulator."
+            "All figures are of drives that the vehicle made; none is computed with our simulator."
             @if !drives.repeats {
                 " It does not repeat itself: the figures are means, and the same training comes to another result and digest "
                 "the next time."
