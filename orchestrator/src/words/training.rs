@@ -144,7 +144,7 @@ fn print_vehicle_drives(
     };
     say!(
         "all figures are means over drives that the vehicle made; none is computed with our simulator{of_grid}\n\
-         the vehicle does not repeat itself, as --deterministic would say: the same training comes to another result and \
+         the vehicle does not repeat itself (--deterministic declares one that does): the same training comes to another result and \
          digest the next time"
     );
     for row in rows {
