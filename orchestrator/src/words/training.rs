@@ -144,8 +144,8 @@ fn print_vehicle_drives(
     };
     say!(
         "all figures are means over drives that the vehicle made; none is computed with our simulator{of_grid}\n\
-         the vehicle does not repeat itself (--deterministic declares one that does): the same training comes to another result and \
-         digest the next time"
+         the vehicle does not repeat itself (--deterministic declares one that does): the same training comes to \
+         another result and digest the next time"
     );
     for row in rows {
         let Some(spread) = &row.spread else { continue };
