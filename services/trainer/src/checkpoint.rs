@@ -29,8 +29,8 @@ const PART: &str = "checkpoint.part";
 const VERSION: u32 = 1;
 /// Time between two checkpoints, and so between two syncs of the journal: what a power cut may cost.
 const INTERVAL_NS: u64 = 1_000_000_000;
-/// Making a checkpoint holds up the training. It may take this share of the time: a large one is made less often.
-const MOST_TIME: u64 = 50;
+/// Making a checkpoint holds up the training: one that takes long is made less often, after this many times as long.
+const PAUSE: u64 = 5;
 
 #[derive(Debug, Serialize, Deserialize)]
 struct Checkpoint {
@@ -109,35 +109,35 @@ impl Keeper {
         now_ns >= self.due_ns && self.writing.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Makes a checkpoint of a training whose steps are all in the journal and in the story's files, which hold
-    /// `story`. A separate thread syncs these files and writes it; the next call reports a failure of the last one.
+    /// Makes a checkpoint of a training whose steps are all in the journal and in the story's files, which are that
+    /// long. A separate thread syncs the journal and writes it; the next call reports a failure of the last one.
+    ///
+    /// The story's files are not synced: they may grow by tens of megabytes a second. If a power cut takes their end,
+    /// the checkpoint does not fit them.
     pub(crate) fn keep(
         &mut self,
         journal: &Journal,
-        story: (Lengths, [File; 2]),
+        story: Lengths,
         training: &Training,
     ) -> Result<()> {
         self.finish()?;
         let begun_ns = now_ns();
-        let (lengths, [episodes, drives]) = story;
         let checkpoint = Checkpoint {
             version: VERSION,
             release: env!("CARGO_PKG_VERSION").to_owned(),
             configuration: self.configuration.clone(),
             journal: journal.mark().context("failed to read the journal")?,
-            story: lengths,
+            story,
             training: training.save(),
         };
         let bytes = pack(&checkpoint);
         let now_ns = now_ns();
-        self.due_ns = now_ns + INTERVAL_NS.max(MOST_TIME * (now_ns - begun_ns));
+        self.due_ns = now_ns + INTERVAL_NS.max(PAUSE * (now_ns - begun_ns));
         let journal = journal.file().context("failed to sync the journal")?;
         let folder = self.folder.clone();
         self.writing = Some(std::thread::spawn(move || {
-            // Before the checkpoint, which is of no use without them.
-            for (file, name) in [(journal, "journal"), (episodes, "episodes"), (drives, "drives")] {
-                file.sync_data().with_context(|| format!("failed to sync the {name}"))?;
-            }
+            // Before the checkpoint, which is of no use without it.
+            journal.sync_data().context("failed to sync the journal")?;
             write(&folder, &bytes).with_context(|| format!("failed to write {folder:?}/{PART}"))
         }));
         Ok(())

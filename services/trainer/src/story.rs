@@ -123,13 +123,11 @@ impl Story {
         Ok(())
     }
 
-    /// Writes what was added; returns how long the files are now, and the files.
-    pub(crate) fn written(&mut self) -> Result<(Lengths, [File; 2])> {
+    /// Writes what was added; returns how long the files are now.
+    pub(crate) fn written(&mut self) -> Result<Lengths> {
         self.flush()?;
         let (episodes, drives) = (self.episodes.get_ref(), self.drives.get_ref());
-        let lengths =
-            Lengths { episodes: episodes.metadata()?.len(), drives: drives.metadata()?.len() };
-        Ok((lengths, [episodes.try_clone()?, drives.try_clone()?]))
+        Ok(Lengths { episodes: episodes.metadata()?.len(), drives: drives.metadata()?.len() })
     }
 }
 
