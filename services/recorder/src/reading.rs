@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 
 use crate::container::{End, Record, scan};
 pub use crate::tape::{BEGINNING, END};
@@ -92,7 +92,7 @@ impl Recording {
                 .inspect_err(|why| refused = Some(format!("{} {why:#}", path.display())))
         });
         if let Some(why) = refused {
-            anyhow::bail!(why);
+            bail!(why);
         }
         recording.cut_off =
             match end.with_context(|| format!("failed to read {}", path.display()))? {
@@ -100,11 +100,10 @@ impl Recording {
                 End::CutOff(what) => Some(format!("was cut off: {what}")),
                 End::Damaged(where_and_why) => Some(format!("is damaged {where_and_why}")),
             };
-        ensure!(
-            !recording.beginning.is_empty(),
-            "{} is not a recording by pathtune",
-            path.display()
-        );
+        if recording.beginning.is_empty() {
+            let why = recording.cut_off.as_deref().unwrap_or("is not a recording by pathtune");
+            bail!("{} {why}", path.display());
+        }
         Ok(recording)
     }
 
