@@ -25,7 +25,7 @@ static RANKING: LazyLock<Ranking> = LazyLock::new(|| Ranking::by_rollout(&config
 
 /// Rounds between two checkpoints.
 const OFTEN: usize = 3;
-const SELDOM: usize = 50;
+const SELDOM: usize = 12;
 const NEVER: usize = usize::MAX;
 
 /// What a trainer does until it is killed after so many rounds, with a checkpoint after each `every` of them. Returns
@@ -171,6 +171,21 @@ fn no_checkpoint_is_needed_and_none_does_harm() {
         assert!(replayed <= most, "{name}: {replayed} steps replayed");
         assert!(!folder.path().join(PART).exists(), "{name}");
     }
+}
+
+#[test]
+fn a_checkpoint_of_another_journal_is_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    live(folder.path(), 9, OFTEN);
+    let Checkpoint { journal: mark, .. } = read(&folder.path().join(FILES[0]), "c").unwrap();
+    let path = folder.path().join(JOURNAL);
+    let fits = || Journal::open(&path, "c").unwrap().go_to(&mark).unwrap();
+    assert!(fits());
+    let mut bytes = fs::read(&path).unwrap();
+    let near_end = bytes.len() - 1000;
+    bytes[near_end] ^= 1;
+    fs::write(&path, bytes).unwrap();
+    assert!(!fits());
 }
 
 #[test]

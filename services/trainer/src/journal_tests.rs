@@ -197,6 +197,7 @@ fn a_sparse_journal_is_refused_and_a_short_row_of_zeros_cut_off() {
         assert!(error.contains(&format!("damaged at byte {from}: a record without")), "{error}");
     }
     assert_eq!(digest(&open(bytes.len() as u64, bytes.len() as u64 + 9999).unwrap()), *wanted);
+    assert!(fs::read(&path).unwrap() == *bytes);
 }
 
 #[test]
