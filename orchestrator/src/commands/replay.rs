@@ -1,6 +1,7 @@
 //! `pathtune replay`: runs a recording through the ordinary pipeline, with the vehicle and the trainer replaced.
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -99,6 +100,7 @@ pub fn replay(
     // Made anew, under a name that nobody else knows beforehand, and closed to other users.
     let made = tempfile::Builder::new()
         .prefix("pathtune-replay-")
+        .permissions(fs::Permissions::from_mode(0o700))
         .tempdir()
         .map_err(|why| Failure::User(format!("no temporary folder can be made: {why}")))?;
     let folder = preflight::make_folder(made.path())?;
