@@ -22,13 +22,13 @@ fn a_long_training_goes_on_from_where_it_was_killed() {
     let episodes = by_hand("PATHTUNE_LONG_EPISODES", 1000).to_string();
     let kills = by_hand("PATHTUNE_LONG_KILLS", 6);
     let sandbox = Sandbox::new();
-    let args = ["lane_change", "--episodes", &episodes, "--quiet"];
+    let args = ["lane_change", "--episodes", &episodes];
     let calm = sandbox.train("calm", &args);
 
     let part = sandbox.path("killed/checkpoint.part");
     let journal = sandbox.path("killed/journal");
     let length = || fs::metadata(&journal).map_or(0, |meta| meta.len());
-    let mut training = sandbox.start_training("killed", &args);
+    let mut training = sandbox.start_training("killed", &[&args[..], &["--quiet"]].concat());
     let (mut done, mut in_write, mut slowest) = (0, 0, Duration::ZERO);
     let mut resumed = Instant::now();
     let mut before = 0;
