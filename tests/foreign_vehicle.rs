@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use config::{MAX_FLEET, RunConfig};
 use ipc_types::{Command, DriveRequest, Odometry, TickHeader, WakeRole, WirePose};
+use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use simulator::SimulatedVehicle;
 use support::Sandbox;
@@ -347,7 +348,8 @@ impl Vehicle {
             self.send_what_does_not_belong()?;
         }
         let fleet = &mut self.fleet;
-        self.odometry.send(self.header, fleet.len(), |slot| {
+        let header = TickHeader { odometry_sent_ns: now_ns(), ..self.header };
+        self.odometry.send(header, fleet.len(), |slot| {
             let seen = fleet[slot].observe();
             let wire =
                 |pose: Pose| WirePose { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad };

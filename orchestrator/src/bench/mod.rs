@@ -279,10 +279,10 @@ fn print_rows(rows: &[(Subject, Timing)], rounds: u32) -> Result<(), Failure> {
         }
     }
     for (subject, timing) in rows {
-        if let Subject::Pipelines(count, fleet) = *subject {
-            if let Some(gain) = known(of(Subject::Pipeline(fleet)) / timing.tick_ns) {
-                say!("{count} pipelines with fleets of {fleet}: {gain:.2} × one");
-            }
+        if let Subject::Pipelines(count, fleet) = *subject
+            && let Some(gain) = known(of(Subject::Pipeline(fleet)) / timing.tick_ns)
+        {
+            say!("{count} pipelines with fleets of {fleet}: {gain:.2} × one");
         }
     }
     Ok(())

@@ -11,9 +11,7 @@ use std::time::{Duration, Instant};
 use config::open_regular;
 use runtime::{Attachment, cleanup};
 use rustix::event::{PollFd, PollFlags, poll};
-use rustix::process::{
-    Pid, PidfdFlags, Signal, kill_process, kill_process_group, pidfd_open,
-};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, kill_process_group, pidfd_open};
 use rustix::time::Timespec;
 
 use crate::pipeline::cgroup::{self, Cgroup};

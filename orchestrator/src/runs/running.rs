@@ -71,8 +71,7 @@ pub(crate) struct PrivateNames {
 impl PrivateNames {
     /// Makes new ones.
     pub(crate) fn create() -> Result<Self, Failure> {
-        let (names, lock) =
-            RunNames::start().map_err(|error| Failure::User(error.to_string()))?;
+        let (names, lock) = RunNames::start().map_err(|error| Failure::User(error.to_string()))?;
         Ok(Self { names, _lock: lock })
     }
 }

@@ -4,6 +4,8 @@
 //! solver for quadratic programs", Mathematical Programming Computation 12 (2020), with one penalty. All sizes are fixed and all loops are here, so that the same numbers come out on every machine: the
 //! matrix products of libraries pick their order of summation by the processor.
 
+#![allow(clippy::needless_range_loop, reason = "indices as in the equations")]
+
 /// Number of angles of a plan.
 pub(crate) const N: usize = 20;
 

@@ -173,7 +173,7 @@ fn a_training_shows_every_section() -> Result<()> {
         "a flat curve proves nothing",
         "<td>Ks 21</td>",
         "<h2>Parameter usage</h2>",
-        "<h2>Finalists under noise</h2>",
+        "<h2>Finalists",
         "<b>undecided</b>",
         "<h2>Drives: tuned</h2>",
         "<h2>Drives: paper</h2>",

@@ -2,6 +2,9 @@
 //!
 //! `PATHTUNE_DRIVES` is the number of drives of each kind.
 
+// A test reads its number of drives, and writes the file of a path.
+#![allow(clippy::disallowed_methods)]
+
 use config::{Layers, Parameters, RunConfig};
 use ipc_types::Safety;
 use rollout::{Fault, FaultyCar, Rollout};

@@ -88,6 +88,11 @@ impl Sweep {
         self.reports[index].replace(*report).is_none()
     }
 
+    /// Whether a drive is over.
+    pub fn is_over(&self, index: usize) -> bool {
+        self.reports[index].is_some()
+    }
+
     /// Number of drives.
     pub fn len(&self) -> usize {
         self.drives.len()

@@ -116,7 +116,14 @@ impl Sweeping {
                 dropped += 1;
                 continue;
             };
-            if self.sweep.drive(index).record.is_some() {
+            // Who asks again gets the same report again, and its recording is taken only once.
+            let is_waited_for = self
+                .unrecorded
+                .iter()
+                .any(|(it, _)| (it.learner, it.step) == (report.learner, report.step));
+            if is_waited_for || self.sweep.is_over(index) {
+                dropped += 1;
+            } else if self.sweep.drive(index).record.is_some() {
                 self.unrecorded.push((*report, now_ns()));
             } else {
                 dropped += u64::from(!self.sweep.take(report));

@@ -51,8 +51,11 @@ pub struct Training {
     received: Vec<Received>,
     /// Number of drives and the sum of their values, by set and learner. Kept learner by learner, because the order in
     /// which learners are served must not change the order in which numbers are added.
-    visited: HashMap<[u64; MAX_PARAMETERS], Vec<(u32, f64)>>,
+    visited: HashMap<[u64; MAX_PARAMETERS], Visits>,
 }
+
+/// Number of drives with a set and the sum of their values, by learner.
+type Visits = Vec<(u32, f64)>;
 
 /// What a training has become, as plain data; see [`Training::save`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -60,7 +63,7 @@ pub(crate) struct SavedTraining {
     tuner: Vec<u8>,
     received: Vec<Vec<u8>>,
     memory: Option<Vec<(Vec<f64>, DriveRecord)>>,
-    visited: Vec<(Vec<f64>, Vec<(u32, f64)>)>,
+    visited: Vec<(Vec<f64>, Visits)>,
 }
 
 impl Training {

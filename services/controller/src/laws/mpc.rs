@@ -54,6 +54,7 @@ impl Mpc {
     /// Σ q_y·y² + q_ψ·(ψ + asin(p·κ))² + (δ − atan(L·κ))² + r·((δ − δ₋₁)/T)²,
     ///
     /// with the tracked point p ahead of the rear axle.
+    #[allow(clippy::needless_range_loop, reason = "indices as in the equations")]
     fn plan(&self, weights: Weights, start: Start, turns_rad: &Plan) -> Option<Plan> {
         let Weights { offset, heading, travel_s2, step_s } = weights;
         let step_m = start.speed_mps * step_s;

@@ -66,8 +66,10 @@ impl Supervisor {
             };
             next = None;
             let it = odometry.header();
-            let is_of_batch = self.is_of_batch(it, odometry.items().len());
-            if is_of_batch && it.tick == header.tick {
+            // The stamp tells it from another message that claims the same tick.
+            let is_answered = self.is_of_batch(it, odometry.items().len())
+                && (it.tick, it.odometry_sent_ns) == (header.tick, header.odometry_sent_ns);
+            if is_answered {
                 return Ok(Some(odometry));
             }
             if it.tick == 0 && it.attempt.is_ahead_of(&header.attempt) {
