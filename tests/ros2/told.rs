@@ -76,11 +76,13 @@ fn the_user_is_told_what_is_missing_and_what_is_in_the_way() {
     // Nobody there: it waits, and says for what.
     let drive = sandbox.start("drive", "waits", &args);
     let told_all = || {
-        let log = std::fs::read_to_string(sandbox.path("waits/logs/ros2-vehicle.log"));
-        let log = log.unwrap_or_default();
-        // Repeated, so that a second line of it could have reached the user.
-        log.contains("publishers seen: 0")
-            && log.matches("the drive waits for odometry").count() > 1
+        let log = |name: &str| {
+            std::fs::read_to_string(sandbox.path("waits/logs").join(name)).unwrap_or_default()
+        };
+        // Repeated, so that a second line of it could have reached the user. What the user is told stands in the
+        // orchestrator's log, too.
+        log("orchestrator.log").contains("publishers seen: 0")
+            && log("ros2-vehicle.log").matches("the drive waits for odometry").count() > 1
     };
     let until = Instant::now() + Duration::from_secs(20);
     while !told_all() {
