@@ -129,8 +129,10 @@ fn a_killed_adapter_joins_the_drive_again() {
     let ahead_m = first.1.measured.x_m - before.1.measured.x_m;
     assert!(ahead_m > 0.0 && ahead_m < 1.5 * away_m + 0.2, "{ahead_m} m in {away_m} s");
     assert!(first.1.measured.y_m.abs() < 0.2, "{first:?}");
-    // Nobody has answered yet.
-    assert!(has(first.1.status, Odometry::OWN_STOP));
+    // Nobody has answered yet: it stops the car as soon as the car hears it.
+    ring.wait_for("its own stop", Duration::from_secs(5), |ring| {
+        ring.heard[heard..].iter().any(|(_, odometry)| has(odometry.status, Odometry::OWN_STOP))
+    });
     let again = ring.drive(Duration::from_secs(2), follow(0.0, 1.0));
     assert_eq!(again.last().unwrap().1.status, 0);
     assert!(car.last("speed_mps") > 0.8);
