@@ -182,10 +182,7 @@ impl Law for Lqr {
             last_rad + k[0] * error.cross_track_m + k[1] * (error.heading_rad - libm::asin(sin))
                 - k[2] * (last_rad - circle_rad),
         );
-        let speed_mps = sight.reference_speed_mps() + kv * sight.lateness_m();
-        // The yaw rate of a car with these wheels: the command reports it, but the wheels decide.
-        let yaw_rate_radps = sight.speed_mps * libm::tan(phi) / wheelbase_m;
-        RawCommand { speed_mps, yaw_rate_radps, steering_rad: phi }
+        RawCommand::following(sight, kv, phi)
     }
 }
 

@@ -28,6 +28,18 @@ pub struct RawCommand {
     pub steering_rad: f64,
 }
 
+impl RawCommand {
+    /// Steers, and follows the reference's speed, faster by `kv` (1/s) for each metre that the car is late:
+    /// v = v_ref + Kv·e_s. The yaw rate is that of a car with these wheels: the command reports it, but the wheels decide.
+    fn following(sight: &Sight, kv: f64, steering_rad: f64) -> Self {
+        Self {
+            speed_mps: sight.reference_speed_mps() + kv * sight.lateness_m(),
+            yaw_rate_radps: sight.speed_mps * libm::tan(steering_rad) / sight.wheelbase_m(),
+            steering_rad,
+        }
+    }
+}
+
 /// The numbers that a law needs to go on after its process was restarted during a drive in real time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawState {

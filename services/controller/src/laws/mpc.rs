@@ -180,10 +180,7 @@ impl Law for Mpc {
         // A plan that cannot be found, for numbers beyond any car's, is to hold the wheels.
         let first_rad = self.plan(weights, start, &turns_rad).map_or(last_rad, |plan| plan[0]);
         let phi = self.steering.hold(last_rad + (first_rad - last_rad) * self.tick_s / step_s);
-        let speed_mps = sight.reference_speed_mps() + kv * sight.lateness_m();
-        // The yaw rate of a car with these wheels: the command reports it, but the wheels decide.
-        let yaw_rate_radps = sight.speed_mps * libm::tan(phi) / self.wheelbase_m;
-        RawCommand { speed_mps, yaw_rate_radps, steering_rad: phi }
+        RawCommand::following(sight, kv, phi)
     }
 }
 

@@ -60,10 +60,7 @@ impl Law for PurePursuit {
         let wheelbase_m = sight.wheelbase_m();
         let delta = libm::atan2(2.0 * wheelbase_m * y_m, apart_m2);
         let phi = self.steering.filter(filter, delta);
-        let speed_mps = sight.reference_speed_mps() + kv * sight.lateness_m();
-        // The yaw rate of a car with these wheels: the command reports it, but the wheels decide.
-        let yaw_rate_radps = sight.speed_mps * libm::tan(phi) / wheelbase_m;
-        RawCommand { speed_mps, yaw_rate_radps, steering_rad: phi }
+        RawCommand::following(sight, kv, phi)
     }
 }
 

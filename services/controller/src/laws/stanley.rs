@@ -12,7 +12,6 @@ use crate::Sight;
 /// The law with the state of its low-pass filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Stanley {
-    wheelbase_m: f64,
     /// Whether errors are measured at the nearest point of the path instead of against the moving reference.
     nearest: bool,
     steering: HeldSteering,
@@ -21,7 +20,6 @@ pub(super) struct Stanley {
 impl Law for Stanley {
     fn new(config: &RunConfig) -> Self {
         Self {
-            wheelbase_m: config.vehicle.wheelbase_m,
             nearest: config.law.settings.text("errors_at") != "reference",
             steering: HeldSteering::new(config),
         }
@@ -50,10 +48,7 @@ impl Law for Stanley {
         let softened_mps = k_soft + sight.speed_mps.abs();
         let delta = error.heading_rad + libm::atan2(k * error.cross_track_m, softened_mps);
         let phi = self.steering.filter(filter, delta);
-        let speed_mps = sight.reference_speed_mps() + kv * sight.lateness_m();
-        // The yaw rate of a car with these wheels: the command reports it, but the wheels decide.
-        let yaw_rate_radps = sight.speed_mps * libm::tan(phi) / self.wheelbase_m;
-        RawCommand { speed_mps, yaw_rate_radps, steering_rad: phi }
+        RawCommand::following(sight, kv, phi)
     }
 }
 
