@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use ipc_types::{
-    Attempt, BatchHeader, Command as WireCommand, Odometry, Rearm, Safety, TickHeader, has,
+    Attempt, BatchHeader, Command as WireCommand, Odometry, RawCommand, Rearm, Safety, TickHeader,
+    has,
 };
 use runtime::clock::now_ns;
 use runtime::observer::Observer;
@@ -27,6 +28,7 @@ pub const ROUNDABOUT: &[&str] = &[
 /// One who looks on, and keeps what was said of the first vehicle.
 pub struct Onlooker {
     commands: Inlet<WireCommand>,
+    raw_commands: Inlet<RawCommand>,
     odometry: Inlet<Odometry>,
     safety: Inlet<Safety>,
     rearms: Outlet<Rearm>,
@@ -36,6 +38,9 @@ pub struct Onlooker {
     pub seen: Option<(TickHeader, Odometry)>,
     pub state: u32,
     pub reasons: u32,
+    /// What the law asked for last, and the first that the successor of a killed controller asked for.
+    pub raw: Option<RawCommand>,
+    pub raw_again: Option<RawCommand>,
     /// Time of the first safe command, or of the vehicle's own stop, behind the last fault.
     pub safe_ns: Option<u64>,
     /// Time of the first command behind it that the successor of whoever was hit has had a part in.
@@ -46,6 +51,8 @@ pub struct Onlooker {
     /// The worst of all: distance from the path, speed.
     pub off_path_m: f64,
     pub speed_mps: f64,
+    /// The largest step of the steering from one tick's command to the next one's.
+    pub step_rad: f64,
     _observer: Observer,
 }
 
@@ -55,12 +62,15 @@ impl Onlooker {
         let bus = observer.bus();
         Self {
             commands: bus.observe().unwrap(),
+            raw_commands: bus.observe().unwrap(),
             odometry: bus.observe().unwrap(),
             safety: bus.observe().unwrap(),
             rearms: bus.outlet().unwrap(),
             run: names.run,
             command: None,
             seen: None,
+            raw: None,
+            raw_again: None,
             state: Safety::NORMAL,
             reasons: 0,
             safe_ns: None,
@@ -69,6 +79,7 @@ impl Onlooker {
             hit: None,
             off_path_m: 0.0,
             speed_mps: 0.0,
+            step_rad: 0.0,
             _observer: observer,
         }
     }
@@ -81,7 +92,21 @@ impl Onlooker {
                 self.note_safe(header.supervisor_sent_ns);
             }
             self.note_healed(header);
+            if let Some((last, before)) = self.command {
+                let ticks = header.tick.saturating_sub(last.tick).max(1) as f64;
+                let step_rad = (command.steering_rad - before.steering_rad).abs() / ticks;
+                self.step_rad = self.step_rad.max(step_rad);
+            }
             self.command = Some((header, command));
+        }
+        while let Some(message) = self.raw_commands.receive().unwrap() {
+            let (header, raw) = (message.header(), message.items()[0]);
+            match self.hit {
+                Some(("controller", since_ns)) if header.controller_sent_ns > since_ns => {
+                    self.raw_again.get_or_insert(raw);
+                }
+                _ => self.raw = Some(raw),
+            }
         }
         while let Some(message) = self.odometry.receive().unwrap() {
             let (header, odometry) = (message.header(), message.items()[0]);
@@ -119,7 +144,7 @@ impl Onlooker {
     /// for a successor that is there before the vehicle had to stop. Milliseconds until then, and whether it was that.
     pub fn strike(&mut self, service: &'static str, pid: i32, signal: Signal) -> (f64, bool) {
         self.look();
-        (self.safe_ns, self.healed_ns, self.hit) = (None, None, None);
+        (self.safe_ns, self.healed_ns, self.hit, self.raw_again) = (None, None, None, None);
         self.fault_ns = now_ns();
         kill_process(Pid::from_raw(pid).unwrap(), signal).unwrap();
         while is_running(pid) {}
