@@ -143,6 +143,7 @@ impl Onlooker {
     /// Kills or freezes a process of the run; waits for the first safe command behind it, for the vehicle's own stop, or
     /// for a successor that is there before the vehicle had to stop. Milliseconds until then, and whether it was that.
     pub fn strike(&mut self, service: &'static str, pid: i32, signal: Signal) -> (f64, bool) {
+        self.hit = None;
         self.look();
         (self.safe_ns, self.healed_ns, self.hit, self.raw_again) = (None, None, None, None);
         self.fault_ns = now_ns();
