@@ -2,6 +2,9 @@
 //!
 //! Both are looked at as means over 0.1 s: the noise of a single pose would exceed a small car's limits. The nearest
 //! place of the path is looked for near the last one, so that another stretch of the path that comes near does not count.
+//!
+//! A vehicle that was rearmed beside its path may be farther away than its limit. It is allowed to return: its limit counts
+//! from the nearest that it has come to the path since, until it is as near as the limit itself.
 
 use config::RunConfig;
 use ipc_types::Safety;
@@ -20,6 +23,10 @@ pub struct Deviation {
     means: Means<3>,
     first: Pose,
     is_lost: bool,
+    /// It was rearmed, and has not been seen since.
+    is_rearmed: bool,
+    /// How far it may be: `limit_m`, or more while it returns to its path after a rearm.
+    allowed_m: f64,
     faults: u32,
 }
 
@@ -40,6 +47,8 @@ impl Deviation {
             means: Means::new(config),
             first: Pose::default(),
             is_lost: false,
+            is_rearmed: false,
+            allowed_m: limit_m,
             faults: 0,
         })
     }
@@ -49,6 +58,11 @@ impl Deviation {
         self.is_lost = true;
         self.means.restart();
         self.faults = 0;
+    }
+
+    /// The vehicle was rearmed: from wherever it is, it may return to its path.
+    pub fn rearm(&mut self) {
+        self.is_rearmed = true;
     }
 
     /// Looks for the vehicle near this place of the path, if it was lost.
@@ -84,8 +98,16 @@ impl Deviation {
         let distance_m = self.follower.distance_m(&self.path, mean.x_m, mean.y_m);
         let along_m = self.follower.along_m(&self.path, mean.x_m, mean.y_m);
         let heading_rad = wrap_angle(mean.yaw_rad - self.path.at(along_m).yaw_rad);
+        // How far it may be counts from where it was rearmed, and shrinks while it comes nearer.
+        let by_return_m = distance_m + self.limit_m;
+        self.allowed_m = match std::mem::take(&mut self.is_rearmed) {
+            true if distance_m > self.limit_m => by_return_m,
+            true => self.limit_m,
+            false if distance_m > self.limit_m => self.allowed_m.min(by_return_m),
+            false => self.limit_m,
+        };
         self.faults = 0;
-        if distance_m > self.limit_m {
+        if distance_m > self.allowed_m {
             self.faults |= Safety::PATH_DISTANCE;
         }
         if heading_rad.abs() > self.limit_rad {

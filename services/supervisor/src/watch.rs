@@ -146,7 +146,11 @@ impl Watch {
 
     /// Lets a stopped vehicle drive again; returns whether it may. `faults` are those of the loop.
     pub fn rearm(&mut self, faults: u32) -> bool {
-        self.guard.rearm(faults | self.odometry_faults | self.drive_faults())
+        let is_rearmed = self.guard.rearm(faults | self.odometry_faults | self.drive_faults());
+        if is_rearmed && let Some(deviation) = &mut self.deviation {
+            deviation.rearm();
+        }
+        is_rearmed
     }
 
     /// Bits of [`Safety::reasons`]: what is wrong now, or was when the vehicle was stopped.

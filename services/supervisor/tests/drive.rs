@@ -83,6 +83,72 @@ fn a_vehicle_that_was_lost_is_looked_for_near_the_reference() {
     assert_eq!(see(&mut deviation), Safety::PATH_DISTANCE);
 }
 
+#[test]
+fn a_vehicle_that_was_rearmed_beside_its_path_may_return_to_it() {
+    let config = config(&[]);
+    let rearmed_at = |y_m: f64| {
+        let mut deviation = Deviation::new(&config).unwrap();
+        deviation.lose();
+        deviation.rearm();
+        deviation.look_near(30.0);
+        (0..10).for_each(|_| deviation.see(pose(30.0, y_m, 0.0)));
+        deviation
+    };
+    let see = |deviation: &mut Deviation, y_m: f64| {
+        (0..10).for_each(|_| deviation.see(pose(30.0, y_m, 0.0)));
+        deviation.faults()
+    };
+    // The limit, 3 m, counts from where it was rearmed.
+    let mut beside = rearmed_at(5.0);
+    assert_eq!((beside.faults(), see(&mut beside, 7.99)), (0, 0));
+    assert_eq!(see(&mut beside, 8.01), Safety::PATH_DISTANCE);
+    // It shrinks while the vehicle returns, and does not grow again.
+    assert_eq!(see(&mut beside, 4.0), 0);
+    assert_eq!((see(&mut beside, 6.99), see(&mut beside, 7.01)), (0, Safety::PATH_DISTANCE));
+    // Once it is back, the limit is what it was, and stays so.
+    assert_eq!(see(&mut beside, 2.99), 0);
+    assert_eq!(see(&mut beside, 3.01), Safety::PATH_DISTANCE);
+    assert_eq!(see(&mut beside, 5.0), Safety::PATH_DISTANCE);
+    // One that was near is allowed nothing more.
+    let mut near = rearmed_at(2.0);
+    assert_eq!((near.faults(), see(&mut near, 3.01)), (0, Safety::PATH_DISTANCE));
+    // Its heading is limited as ever.
+    let mut across = rearmed_at(5.0);
+    (0..10).for_each(|_| across.see(pose(30.0, 5.0, 0.81)));
+    assert_eq!(across.faults(), Safety::PATH_HEADING);
+}
+
+#[test]
+fn only_a_rearm_lets_a_vehicle_far_off_drive_on() {
+    let mut watch = Watch::new(&config(&[]));
+    let wanted = RawCommand { speed_mps: 1.5, yaw_rate_radps: 0.0, steering_rad: 0.0 };
+    let drive = |watch: &mut Watch, ticks: std::ops::Range<u64>, speed_mps: f64| {
+        let mut last = State::Normal;
+        for tick in ticks {
+            watch.see(
+                tick,
+                Movement { pose: pose(30.0, 4.0, 0.0), speed_mps, ..Movement::default() },
+                true,
+            );
+            watch.look_near(30.0);
+            watch.command(TICK_S, 0, Some(wanted));
+            last = watch.state();
+        }
+        last
+    };
+    watch.stop(Safety::ODOMETRY_JUMP);
+    assert_eq!(drive(&mut watch, 0..100, 0.0), State::Stopped);
+    assert!(watch.rearm(0));
+    assert_eq!(drive(&mut watch, 100..250, 1.5), State::Normal);
+    // A supervisor that joins it there has rearmed nothing.
+    let mut joined = Watch::new(&config(&[]));
+    joined.resume(
+        Movement { pose: pose(30.0, 4.0, 0.0), speed_mps: 1.5, ..Movement::default() },
+        0.0,
+    );
+    assert_ne!(drive(&mut joined, 0..250, 1.5), State::Normal);
+}
+
 /// Drives with a command for some seconds; the vehicle's speed and the tangent of its steering angle are given.
 fn respond(
     response: &mut Response,
