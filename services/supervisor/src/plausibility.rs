@@ -19,6 +19,8 @@ pub struct Movement {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plausibility {
     last: Option<(u64, Movement)>,
+    /// The last message, if it had jumped.
+    jumped: Option<(u64, Movement)>,
     tick_s: f64,
     reach_m: f64,
     limit_m: f64,
@@ -41,6 +43,7 @@ impl Plausibility {
         };
         Self {
             last: None,
+            jumped: None,
             tick_s: config.drive.tick_s,
             // The speed is that of the rear axle; the tracked point turns around it.
             reach_m: config.vehicle.tracked_point_m.abs(),
@@ -51,7 +54,7 @@ impl Plausibility {
 
     /// Forgets what was believed: the next finite odometry is believed.
     pub fn forget(&mut self) {
-        self.last = None;
+        (self.last, self.jumped) = (None, None);
     }
 
     /// The last movement that was believed.
@@ -69,18 +72,27 @@ impl Plausibility {
             if tick <= last_tick {
                 return Safety::TIME_BACK;
             }
-            if self.is_jump((tick - last_tick) as f64 * self.tick_s, last, now) {
+            if self.is_jump((last_tick, last), (tick, now)) {
+                // Else the vehicle may have come the farther the longer the jump lasts, and it would be believed in the end.
+                if let Some(jumped) = self.jumped
+                    && !self.is_jump(jumped, (tick, now))
+                {
+                    let pose = carried(last.pose, jumped.1.pose, now.pose);
+                    self.last = Some((tick, Movement { pose, ..now }));
+                }
+                self.jumped = Some((tick, now));
                 return Safety::ODOMETRY_JUMP;
             }
         }
-        self.last = Some((tick, now));
+        (self.last, self.jumped) = (Some((tick, now)), None);
         0
     }
 
-    fn is_jump(&self, dt_s: f64, last: Movement, now: Movement) -> bool {
+    fn is_jump(&self, (last_tick, last): (u64, Movement), (tick, now): (u64, Movement)) -> bool {
         if self.limit_m.is_infinite() && self.limit_rad.is_infinite() {
             return false;
         }
+        let dt_s = (tick - last_tick) as f64 * self.tick_s;
         let rate_radps = last.yaw_rate_radps.abs().max(now.yaw_rate_radps.abs());
         let speed_mps = last.speed_mps.abs().max(now.speed_mps.abs()) + rate_radps * self.reach_m;
         let moved_m = libm::hypot(now.pose.x_m - last.pose.x_m, now.pose.y_m - last.pose.y_m);
@@ -88,5 +100,17 @@ impl Plausibility {
         let turned_rad = wrap_angle(now.pose.yaw_rad - last.pose.yaw_rad);
         moved_m > speed_mps * dt_s + self.limit_m
             || turned_rad.abs() > rate_radps * dt_s + self.limit_rad
+    }
+}
+
+/// A pose that moves as another one does, from one place to the next.
+fn carried(pose: Pose, from: Pose, to: Pose) -> Pose {
+    let turned_rad = pose.yaw_rad - from.yaw_rad;
+    let (sin, cos) = (libm::sin(turned_rad), libm::cos(turned_rad));
+    let (x_m, y_m) = (to.x_m - from.x_m, to.y_m - from.y_m);
+    Pose {
+        x_m: pose.x_m + cos * x_m - sin * y_m,
+        y_m: pose.y_m + sin * x_m + cos * y_m,
+        yaw_rad: pose.yaw_rad + to.yaw_rad - from.yaw_rad,
     }
 }

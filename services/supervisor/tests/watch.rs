@@ -140,6 +140,31 @@ fn a_pose_that_moves_more_than_the_speed_has_jumped() {
     assert_eq!(it.check(1, at(9.0)), 0);
 }
 
+/// Fast, a vehicle might have come as far as the jump while it lasts; but its odometry has shown how far it came.
+#[test]
+fn a_jump_that_lasts_is_not_believed_in_the_end_and_one_that_goes_back_is_forgotten() {
+    for turned_rad in [0.0, 3.0] {
+        // In the frame to which the odometry has jumped, the vehicle may head elsewhere.
+        let seen = |tick: u64, has_jumped: bool| {
+            let (x_m, speed_mps) = (0.04 * tick as f64, 4.0);
+            let (sin, cos) = (libm::sin(turned_rad), libm::cos(turned_rad));
+            let pose = match has_jumped {
+                true => Pose { x_m: cos * x_m, y_m: sin * x_m + 1.0, yaw_rad: turned_rad },
+                false => Pose { x_m, ..Pose::default() },
+            };
+            Movement { pose, speed_mps, yaw_rate_radps: 0.0 }
+        };
+        let mut it = Plausibility::new(&config(&JUMPS));
+        assert_eq!(it.check(0, seen(0, false)), 0);
+        // Some messages are missing.
+        for tick in (1..100).filter(|tick| tick % 7 != 0) {
+            assert_eq!(it.check(tick, seen(tick, true)), Safety::ODOMETRY_JUMP, "tick {tick}");
+        }
+        assert_eq!(it.check(100, seen(100, false)), 0);
+        assert_eq!(it.believed(), Some(seen(100, false)));
+    }
+}
+
 #[test]
 fn a_jump_is_measured_from_where_and_when_the_last_one_was_and_its_limit_is_none_yet() {
     let sets = ["vehicle.safety.jump_limit_m=0.5", "vehicle.safety.jump_limit_rad=0.25"];
