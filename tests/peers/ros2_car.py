@@ -14,8 +14,8 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
+import faults
 import ros_messages as ros
-from commonroad import Car
 
 STEP_S = 0.01
 
@@ -36,6 +36,8 @@ def arguments():
     parser.add_argument("--habit", default="", help="what its odometry is like: one of HABITS")
     parser.add_argument("--deaf", action="store_true", help="takes no commands")
     parser.add_argument("--driver", action="store_true", help="is no car, but could drive one: publishes nothing yet")
+    parser.add_argument("--small", action="store_true", help="is a car at the scale of 1:10")
+    faults.add_arguments(parser)
     return parser.parse_args()
 
 
@@ -81,15 +83,15 @@ HABITS = {
 }
 
 
-def odometry(car, args):
+def odometry(car, fault, args):
     x, y, yaw = car.pose()
     forward, left, yaw_rate = car.speeds()
     now = time.time_ns()
     message = ros.Odometry(child_frame_id="base_link")
     message.header = ros.Header(ros.Time(now // 10**9, now % 10**9), args.frame)
     pose, twist = message.pose.pose, message.twist.twist
-    pose.position.x = x + args.point * math.cos(yaw)
-    pose.position.y = y + args.point * math.sin(yaw)
+    x, y = x + args.point * math.cos(yaw), y + args.point * math.sin(yaw)
+    pose.position.x, pose.position.y = fault.tells(x, y, yaw)
     pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
     twist.linear.x, twist.linear.y, twist.angular.z = forward, left, yaw_rate
     HABITS[args.habit](message)
@@ -113,7 +115,12 @@ def main():
     if args.collision:
         topic = Topic(participant, "rt" + args.collision, ros.CarlaCollisionEvent)
         collisions = DataWriter(participant, topic, qos=ros.qos(True))
+    if args.small:
+        from small_car import Car
+    else:
+        from commonroad import Car
     car = Car(*(float(part) for part in args.start.split(",")))
+    fault = faults.Fault(args)
     start = car.pose()
     told, heard = ros.AckermannDrive(), 0
     due = time.monotonic()
@@ -125,16 +132,17 @@ def main():
             heard += len(fresh)
             if fresh:
                 told = fresh[-1] if args.bare else fresh[-1].drive
-            car.step(STEP_S, told.speed, args.sign * told.steering_angle)
+            car.step(STEP_S, *fault.does(STEP_S, told.speed, args.sign * told.steering_angle))
             x, y, yaw = car.pose()
             if collisions and math.hypot(x - start[0], y - start[1]) > args.collides_after:
                 collisions.write(ros.CarlaCollisionEvent(other_actor_id=1))
                 collisions = None
             if not is_mute:
-                writer.write(odometry(car, args))
+                writer.write(odometry(car, fault, args))
             line = {"t_ns": time.monotonic_ns(), "x_m": x, "y_m": y, "yaw_rad": yaw}
             line |= {"speed_mps": car.speeds()[0], "steering_rad": car.steering(), "heard": heard}
             line |= {"told_mps": told.speed, "told_rad": told.steering_angle}
+            line |= {"fault": fault.is_there()}
             print(json.dumps(line), file=log)
             due += STEP_S
             time.sleep(max(0.0, due - time.monotonic()))
