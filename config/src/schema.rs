@@ -267,6 +267,9 @@ pub struct TunerConfig {
     /// The least and the largest value of each setting that is a number.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub ranges: BTreeMap<String, [f64; 2]>,
+    /// The words that a setting may be, by its key; for settings that are words.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub choices: BTreeMap<String, Vec<String>>,
 }
 
 /// When a set is ranked among all sets of the grid.

@@ -216,8 +216,15 @@ fn scales(config: &RunConfig) -> Result<(), Problem> {
     Err((key, problem))
 }
 
-/// Every setting of a tuner that is a number has a range in the tuner's file.
+/// Every setting of a tuner that is a number has a range in the tuner's file, and a word is one of those that it names.
 fn tuner(tuner: &TunerConfig) -> Result<(), Problem> {
+    for (name, choices) in &tuner.choices {
+        let word = tuner.settings.0.get(name).and_then(toml::Value::as_str).unwrap_or_default();
+        if !choices.iter().any(|choice| choice == word) {
+            let problem = format!("is {word:?}, and must be one of {}", choices.join(", "));
+            return Err((format!("tuner.settings.{name}"), problem));
+        }
+    }
     for (name, value) in &tuner.settings.0 {
         if !matches!(value, toml::Value::Float(_) | toml::Value::Integer(_)) {
             continue;

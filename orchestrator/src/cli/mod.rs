@@ -151,7 +151,7 @@ pub struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "law", "objective",
-            "tuner", "out",
+            "tuner", "drives", "out",
             "config", "set", "launch", "replace", "deterministic", "path", "vehicle", "record", "record_split",
         ]
     )]
@@ -174,6 +174,9 @@ pub struct TrainArgs {
     /// The tuner: a preset; `pathtune config list` lists them [default: educated-q]
     #[arg(long, value_name = "NAME")]
     pub tuner: Option<String>,
+    /// Budget of drives, repeats under noise included; only for tuners without episodes [default: the tuner's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub drives: Option<u32>,
     /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,

@@ -75,6 +75,17 @@ fn resolve_config(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failur
     if args.no_memo {
         layers.put("--no-memo", "run.memo", false)?;
     }
+    if let Some(drives) = args.drives {
+        let config = layers.clone().resolve()?;
+        if !config.tuner.settings.0.contains_key("drives") {
+            return Err(Failure::User(format!(
+                "--drives: the tuner {} has no budget of drives; say how long it trains by --episodes and \
+                 learning.step_limit, or choose another --tuner: see `pathtune config list`",
+                config.learning.tuner
+            )));
+        }
+        layers.put("--drives", "tuner.settings.drives", i64::from(drives))?;
+    }
     let mut config = layers.resolve()?;
     // Drives that do not repeat must not stand in for each other.
     config.run.memo &= launch.repeats() && !config.run.realtime;

@@ -30,6 +30,7 @@ mod rng;
 mod robust;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod schedule;
+mod search;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
 mod single;

@@ -3,9 +3,12 @@
 //! A tuner is a file of this folder with its row in the table below, and a file of `config/tuners` that says what it is
 //! and holds its settings. Memory, journal, finalists and ranking are outside the tuners, and serve all of them.
 
+mod coordinate;
 mod educated_q;
 mod q;
+mod random;
 mod random_walk;
+mod sobol;
 
 use std::cmp::Ordering;
 use std::fmt::Debug;
@@ -140,6 +143,9 @@ tuners! {
     "educated-q" => educated_q,
     "q" => q,
     "random-walk" => random_walk,
+    "random" => random,
+    "sobol" => sobol,
+    "coordinate" => coordinate,
 }
 
 #[cfg(test)]
@@ -163,6 +169,10 @@ mod tests {
             layers.set(set).unwrap();
         }
         layers.set(&format!("learning.tuner={tuner}")).unwrap();
+        let config = layers.clone().resolve().unwrap();
+        if config.tuner.settings.0.contains_key("drives") {
+            layers.set("tuner.settings.drives=21").unwrap();
+        }
         layers.resolve().unwrap()
     }
 
