@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use config::RunConfig;
+use config::{RunConfig, read_small};
 use runtime::observer::Observer;
 use runtime::run::{RunNames, living_runs};
 
@@ -47,8 +47,7 @@ pub fn record(options: &Options) -> Result<Summary> {
         signal_hook::flag::register(signal, stop.clone())?;
     }
     let path = options.folder.join("config.toml");
-    let text =
-        std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
+    let text = read_small(&path).with_context(|| format!("failed to read {path:?}"))?;
     let config = RunConfig::from_resolved(&text)?;
     let observer = Observer::attach(&options.names)?;
     let stem = match &options.out {
@@ -79,7 +78,29 @@ fn is_alive(names: &RunNames) -> bool {
 
 /// The digest of a run that has ended meanwhile.
 fn digest(folder: &Path) -> Option<String> {
-    let bytes = std::fs::read(folder.join("result.json")).ok()?;
-    let result: serde_json::Value = serde_json::from_slice(&bytes).ok()?;
+    let text = read_small(&folder.join("result.json")).ok()?;
+    let result: serde_json::Value = serde_json::from_str(&text).ok()?;
     Some(result["digest"].as_str()?.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn a_digest_is_read_from_a_regular_file_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let result = folder.path().join("result.json");
+        fs::write(&result, r#"{ "digest": "80a2" }"#).unwrap();
+        assert_eq!(digest(folder.path()).as_deref(), Some("80a2"));
+        fs::remove_file(&result).unwrap();
+        // Opening a pipe would wait for somebody who writes, and a device never ends.
+        assert!(std::process::Command::new("mkfifo").arg(&result).status().unwrap().success());
+        assert_eq!(digest(folder.path()), None);
+        // A sparse file of any length is refused before it fills the memory.
+        fs::remove_file(&result).unwrap();
+        fs::File::create(&result).unwrap().set_len(1 << 40).unwrap();
+        assert_eq!(digest(folder.path()), None);
+    }
 }
