@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::space::Known;
 use super::{Method, Received, Search, Slot};
 
+/// A value, and the set with which it was read.
+type SavedBest = (f64, Vec<f64>);
+
 /// What tells a search from a new one of the same configuration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Saved {
@@ -15,7 +18,7 @@ pub(super) struct Saved {
     generation: Vec<Vec<f64>>,
     slots: Vec<(Vec<f64>, Option<f64>)>,
     /// Of each learner: its drives, and the best value with its set.
-    learners: Vec<(u32, Option<(f64, Vec<f64>)>)>,
+    learners: Vec<(u32, Option<SavedBest>)>,
     method: Vec<f64>,
 }
 
