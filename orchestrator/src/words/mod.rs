@@ -1,6 +1,7 @@
 //! What is said to the user: lines, tables, and how a command failed.
 
 pub(crate) mod failure;
+mod laps;
 pub(crate) mod tables;
 pub(crate) mod terminal;
 mod training;
