@@ -11,9 +11,10 @@ use support::onlooker::{Onlooker, ROUNDABOUT};
 
 /// Time from the start until the car is well on the arc and its steering at rest.
 const SETTLED: Duration = Duration::from_secs(8);
+
 /// Kills the controller of a car on an arc whose steering answers late, PATHTUNE_LAW_KILLS times. The successor's first
-/// steering angle may differ from its predecessor's last one by at most `departure_rad`: without what its law knew, the successor's filter would begin anew at wheels
-/// that are straight, 0.16 rad away.
+/// steering angle may differ from its predecessor's last one by at most `departure_rad`. Without what its law knew, the
+/// successor's filter would begin at straight wheels, 0.16 rad away.
 fn survives_kills(law: &str, gains: &str, departure_rad: f64) {
     let kills: usize = std::env::var("PATHTUNE_LAW_KILLS").map_or(1, |text| text.parse().unwrap());
     let sandbox = Sandbox::new();
