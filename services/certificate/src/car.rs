@@ -1,0 +1,68 @@
+//! What the loop is made of: the car and the gains.
+
+use config::{Parameters, RunConfig};
+
+/// The gains of the paper's law; see `config/laws/paper.toml`.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Gains {
+    /// Speed per distance to the reference, 1/s.
+    pub kv: f64,
+    /// Yaw rate per cross-track error, rad/(m·s).
+    pub kl: f64,
+    /// Yaw rate per heading error, 1/s.
+    pub ks: f64,
+    /// Pole of the low-pass filter of the steering angle.
+    pub ki: f64,
+}
+
+impl Gains {
+    /// The gains of a set of parameters of the paper's law.
+    pub fn new(parameters: &Parameters) -> Self {
+        let [kv, kl, ks, ki, ..] = parameters.0;
+        Self { kv, kl, ks, ki }
+    }
+}
+
+/// What the lateral loop knows of a car and of the law's tick.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Car {
+    /// The law's tick.
+    pub tick_s: f64,
+    /// Axle to axle.
+    pub wheelbase_m: f64,
+    /// The tracked point lies this far ahead of the rear axle.
+    pub tracked_point_m: f64,
+    /// The least of the limits of the steering angle: the law's and the car's.
+    pub steering_limit_rad: f64,
+    /// The least of the limits of the steering angle's rate: the gate's and the car's.
+    pub steering_rate_radps: f64,
+    /// Dead time of the steering.
+    pub steering_delay_s: f64,
+    /// Time constant of the steering's first-order lag.
+    pub steering_lag_s: f64,
+    /// Angle of the road wheels per commanded angle.
+    pub steering_gain: f64,
+}
+
+impl Car {
+    /// The car of a configuration.
+    pub fn new(config: &RunConfig) -> Self {
+        let vehicle = &config.vehicle;
+        let gate_radps = vehicle.safety.steering_rate_limit_radps;
+        Self {
+            tick_s: config.drive.tick_s,
+            wheelbase_m: vehicle.wheelbase_m,
+            tracked_point_m: vehicle.tracked_point_m,
+            steering_limit_rad: config
+                .controller
+                .steering_limit_rad
+                .min(vehicle.steering_limit_rad),
+            steering_rate_radps: vehicle.steering_rate_radps.min(gate_radps),
+            steering_delay_s: vehicle.steering_delay_s,
+            steering_lag_s: vehicle.steering_lag_s,
+            steering_gain: vehicle.steering_gain,
+        }
+    }
+}
