@@ -24,6 +24,7 @@ mod resample;
 mod ros2;
 mod schema;
 mod sweep;
+mod textbook;
 mod tuned;
 mod validate;
 mod vehicles;
@@ -40,6 +41,7 @@ pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};
 pub use schema::*;
 pub use sweep::{SweepKind, SweepPlan};
+pub use textbook::TextbookSet;
 pub use tuned::{PastGains, Provenance, Replacement, TunedGains};
 
 /// The largest fleet that one message carries.

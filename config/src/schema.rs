@@ -250,9 +250,28 @@ pub struct ObjectiveConfig {
     /// Its unit; empty if it has none.
     pub unit: String,
     pub cap_wheelbases: f64,
+    #[serde(default)]
+    pub limits: ObjectiveLimits,
     /// The settings of its file in `config/objectives`.
     #[serde(default)]
     pub settings: Settings,
+}
+
+impl ObjectiveConfig {
+    /// Whether a drive's value may differ from what the objective's name measures: by a bound, a price or a limit.
+    pub fn is_adjusted(&self) -> bool {
+        self.cap_wheelbases > 0.0 || self.limits != ObjectiveLimits::default()
+    }
+}
+
+/// Limits of a drive beside its objective; 0 is no limit.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+#[allow(missing_docs, reason = "documented key by key in readings.toml")]
+pub struct ObjectiveLimits {
+    pub steering_travel_price_radps: f64,
+    pub steering_travel_radps: f64,
+    pub progress: f64,
 }
 
 /// The tuner that `learning.tuner` names, as described by its file in `config/tuners`.

@@ -198,6 +198,14 @@ fn presets(config: &RunConfig) -> Result<(), Problem> {
     }
     law::validate(&config.law)?;
     tuner(&config.tuner)?;
+    let limits = &config.objective.limits;
+    for (key, radps) in [
+        ("objective.limits.steering_travel_price_radps", limits.steering_travel_price_radps),
+        ("objective.limits.steering_travel_radps", limits.steering_travel_radps),
+    ] {
+        within(key, radps, 0.0, 100.0)?;
+    }
+    within("objective.limits.progress", limits.progress, 0.0, 1.0)?;
     within("objective.cap_wheelbases", config.objective.cap_wheelbases, 0.0, 1000.0)
 }
 

@@ -1,5 +1,6 @@
 //! What is said to the user: lines, tables, and how a command failed.
 
+mod baselines;
 pub(crate) mod failure;
 pub(crate) mod tables;
 pub(crate) mod terminal;

@@ -282,8 +282,8 @@ fn print_how_it_went(run: &Run) -> Result<(), Failure> {
 pub(super) fn objective_column(config: &RunConfig) -> Option<&str> {
     let objective = &config.objective;
     let is_a_column = ["distance", "mse", "path", "path_max"].contains(&&*objective.name);
-    // With a cap, a drive that does not arrive has another value than its column shows.
-    (!is_a_column || objective.cap_wheelbases > 0.0).then_some(&objective.name)
+    // With a cap or a price, a drive may have another value than its column shows.
+    (!is_a_column || objective.is_adjusted()).then_some(&objective.name)
 }
 
 /// Columns for the measures of a drive.

@@ -6,12 +6,12 @@ use outcome::{
     VehicleDrives, Verdict,
 };
 
-use crate::words::Failure;
 use crate::words::tables::{
     MeasureColumns, Ranks, digits, header, note_off_grid, objective_column, set_cells, size_with,
     table_of,
 };
 use crate::words::terminal::say;
+use crate::words::{Failure, baselines};
 
 /// Prints the table of a training, whose figures they are, and how the set was chosen.
 pub(super) fn print(
@@ -77,6 +77,7 @@ pub(super) fn print(
             config.grid().len()
         ),
     }
+    baselines::print(it, config)?;
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");
         say!("on a bound of the grid: {bounds}; better gains may lie beyond it");

@@ -6,6 +6,7 @@
 //!
 //! `pathtune schema --result` prints the doc comments of the fields.
 
+mod baselines;
 mod drive;
 mod file;
 mod grid;
@@ -20,6 +21,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use baselines::{Baseline, Baselines, TradeOff, TradedSet};
 pub use drive::{Fastest, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
@@ -133,6 +135,9 @@ pub struct Measures {
     pub path_p95_m: f64,
     /// Its largest value.
     pub path_max_m: f64,
+    /// Mean absolute rate of the commanded steering angle.
+    #[serde(default)]
+    pub steering_travel_radps: f64,
     /// Whether the drive ended at the end of the path.
     pub arrived: bool,
 }

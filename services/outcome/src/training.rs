@@ -6,7 +6,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Measures, ParameterTable};
+use crate::{Baselines, Measures, ParameterTable, TradeOff};
 
 /// The result of a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -42,6 +42,13 @@ pub struct TrainResult {
     pub plain_q: Option<Beside>,
     /// The same training by a random walk, on drives of the grid; null if the grid was not driven.
     pub random_walk: Option<Beside>,
+    /// The textbook sets beside it; null where path and car are the paper's, whose figures are the yardstick there, and
+    /// for a vehicle that is not our simulator, which drives the tuned law alone.
+    #[serde(default)]
+    pub baselines: Option<Baselines>,
+    /// What less distance costs in turning the wheels, over the grid; null if the grid was not driven.
+    #[serde(default)]
+    pub trade_off: Option<TradeOff>,
     /// How the set was chosen by means over several drives: under noise, or with a vehicle that does not repeat itself;
     /// otherwise null.
     pub noise: Option<NoiseChoice>,

@@ -7,6 +7,7 @@
 #![warn(missing_docs)]
 
 mod axis;
+mod baselines;
 mod canvas;
 mod chart;
 mod decimate;

@@ -88,7 +88,7 @@ pub(crate) fn objective_title(config: &RunConfig) -> String {
 /// Whether the objective is this measure itself, with nothing added for drives that do not arrive; then one column
 /// shows both.
 pub(crate) fn is_objective(config: &RunConfig, measure: &str) -> bool {
-    config.objective.name == measure && config.objective.cap_wheelbases == 0.0
+    config.objective.name == measure && !config.objective.is_adjusted()
 }
 
 /// The heads of the three columns of the distance from the path, below [`path_group`].

@@ -10,6 +10,7 @@ use outcome::{
 
 use crate::ReportError;
 use crate::axis::{Axis, integer, number, optional, short};
+use crate::baselines;
 use crate::canvas::{HALF, Stroke, WIDE, text_width};
 use crate::chart::{Chart, Line};
 use crate::episodes::{EPISODES_FILE, Episode};
@@ -33,6 +34,13 @@ pub(crate) fn sections(
     config: &RunConfig,
 ) -> Result<(), ReportError> {
     page.section("Result", result(train, run, episodes, config));
+    if let Some(beside) = &train.baselines {
+        page.section("Beside textbook sets", baselines::section(beside, train, config));
+    }
+    if let Some(curve) = &train.trade_off {
+        let body = baselines::curve(page, curve, train, config)?;
+        page.section("Distance against steering travel", body);
+    }
     if let Some(episodes) = episodes.filter(|all| all.iter().any(|of| !of.is_empty())) {
         let body = learning(page, train, episodes, config)?;
         page.section("Learning", body);
@@ -103,7 +111,12 @@ fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
     let objective = config.objective.name.as_str();
     html! {
         ul {
-            @if let Some(drives) = &train.vehicle_drives { (vehicle_drives(drives, train)) }
+            @if let Some(drives) = &train.vehicle_drives {
+                (vehicle_drives(drives, train))
+                @if !config.has_figures_of_the_paper() {
+                    li { "Textbook sets are not beside it: they are driven by our simulator alone." }
+                }
+            }
             @if let Some(grid) = &train.grid {
                 li {
                     "Ranks are among all " (integer(grid.size as u64)) " sets of the grid, noise-free; its best: "

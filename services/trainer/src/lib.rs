@@ -8,6 +8,7 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
+mod baselines;
 mod checkpoint;
 mod digest;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]

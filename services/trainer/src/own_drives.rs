@@ -114,6 +114,7 @@ pub(crate) fn mean_of(all: &[Measures]) -> Measures {
         path_mean_m: mean(|it| it.path_mean_m),
         path_p95_m: mean(|it| it.path_p95_m),
         path_max_m: all.iter().map(|it| it.path_max_m).fold(0.0, f64::max),
+        steering_travel_radps: mean(|it| it.steering_travel_radps),
         arrived: all.iter().all(|it| it.arrived),
     }
 }

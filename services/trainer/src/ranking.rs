@@ -188,6 +188,7 @@ const NOT_DRIVEN: Measures = Measures {
     path_mean_m: f64::INFINITY,
     path_p95_m: f64::INFINITY,
     path_max_m: f64::INFINITY,
+    steering_travel_radps: f64::INFINITY,
     arrived: false,
 };
 
@@ -204,6 +205,7 @@ pub(crate) fn measures_of(
         path_mean_m: drive.path_mean_m,
         path_p95_m: drive.path_p95_m,
         path_max_m: drive.path_max_m,
+        steering_travel_radps: drive.steering_travel_radps,
         arrived: drive.arrived(),
     }
 }

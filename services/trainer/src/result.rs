@@ -9,6 +9,7 @@ use outcome::{
 };
 use tracking::Objective;
 
+use crate::baselines::{baselines, trade_off};
 use crate::digest::digest;
 use crate::ranking::Figures;
 use crate::training::train_offline;
@@ -83,6 +84,12 @@ pub fn train_result(
         paper: config.paper_set().and_then(|set| standing(config, &set, ranking)),
         plain_q: beside("q", config, ranking),
         random_walk: beside("random-walk", config, ranking),
+        baselines: match drives {
+            None => baselines(config, ranking.objective(), &measures),
+            // It would have to be driven with other laws; our simulator's figures are no yardstick for its own.
+            Some(_) => None,
+        },
+        trade_off: trade_off(config, ranking),
         noise: by_means,
         asked: training.asked_drives(),
         distinct: training.distinct_drives(),

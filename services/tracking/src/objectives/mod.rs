@@ -4,6 +4,7 @@
 //! settings. Learners, ranking, grid and report all use the same one.
 
 mod distance;
+mod limits;
 mod mse;
 mod path;
 mod path_max;
@@ -11,6 +12,7 @@ mod weighted;
 
 use config::RunConfig;
 
+use self::limits::Limits;
 use crate::{DriveRecord, EndReason};
 
 /// How one objective measures a drive.
@@ -79,12 +81,18 @@ objectives! {
     "weighted" => Weighted(weighted::Weighted),
 }
 
+/// Bounds the value of a drive within the limits, if drives end by their time: no drive worth its name is so far off.
+const WITHIN_LIMITS_WHEELBASES: f64 = 10.0;
+
 /// The objective of a configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Objective {
     kind: Kind,
     /// Distance that bounds the value of a drive which arrives; `None` if drives end by time.
     cap_m: Option<f64>,
+    limits: Limits,
+    /// Distance that bounds the value of a drive within the limits.
+    bound_m: f64,
 }
 
 impl Objective {
@@ -93,22 +101,32 @@ impl Objective {
     /// # Panics
     /// If no objective has that name; a resolved configuration names one.
     pub fn new(config: &RunConfig) -> Self {
-        let cap_m = config.objective.cap_wheelbases * config.vehicle.wheelbase_m;
-        Self { kind: Kind::new(config), cap_m: (cap_m > 0.0).then_some(cap_m) }
+        let wheelbase_m = config.vehicle.wheelbase_m;
+        let cap_m = config.objective.cap_wheelbases * wheelbase_m;
+        let cap_m = (cap_m > 0.0).then_some(cap_m);
+        let bound_m = cap_m.unwrap_or(WITHIN_LIMITS_WHEELBASES * wheelbase_m);
+        let limits = Limits(config.objective.limits);
+        Self { kind: Kind::new(config), cap_m, limits, bound_m }
     }
 
     /// The value of a drive: finite, not negative, the smaller the better.
     ///
-    /// If drives are meant to arrive, the value of one that does is bounded. The value of one that does not is the
-    /// bound times (1 + the share of the path that it did not drive), so that it ranks after all drives that arrive.
+    /// If drives are meant to arrive, or have limits, the value of one that does and keeps them is bounded. The value of
+    /// any other is the bound times (1 + how much it misses), so that it ranks behind all that arrive within the limits;
+    /// what one misses that does not arrive is the share of the path that it did not drive.
     pub fn of(&self, drive: &DriveRecord) -> f64 {
-        let Some(cap_m) = self.cap_m else { return self.kind.of(drive) };
-        let cap = self.kind.of_bound(cap_m);
-        if drive.reason == EndReason::Goal {
-            self.kind.of(drive).min(cap)
-        } else {
+        if self.cap_m.is_none() && !self.limits.are_hard() {
+            return self.kind.of(drive) * self.limits.price(drive);
+        }
+        let bound = self.kind.of_bound(self.bound_m);
+        let mut missed = self.limits.missed(drive);
+        if self.cap_m.is_some() && drive.reason != EndReason::Goal {
             // Never quite the bound itself, even at the very end of the path.
-            cap * (1.0 + (1.0 - drive.progress).max(1e-6))
+            missed += (1.0 - drive.progress).max(1e-6);
+        }
+        match missed > 0.0 {
+            true => bound * (1.0 + missed),
+            false => (self.kind.of(drive) * self.limits.price(drive)).min(bound),
         }
     }
 
@@ -186,10 +204,57 @@ mod tests {
     }
 
     #[test]
+    fn turning_the_wheels_has_a_smooth_price_above_its_threshold_alone() {
+        let priced = objective("path", &["objective.limits.steering_travel_price_radps=0.6"]);
+        let at =
+            |steering_travel_radps| priced.of(&DriveRecord { steering_travel_radps, ..drive() });
+        assert_eq!([0.0, 0.6].map(at), [0.2, 0.2]);
+        assert!((at(0.6001) - 0.2).abs() < 1e-7);
+        assert!((at(0.9) - 0.2 * 1.25).abs() < 1e-12 && (at(1.2) - 0.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_over_a_limit_ranks_behind_all_within_whether_drives_arrive_or_not() {
+        for cap in ["objective.cap_wheelbases=2.0", "objective.cap_wheelbases=0.0"] {
+            let limits =
+                ["objective.limits.steering_travel_radps=0.5", "objective.limits.progress=0.97"];
+            let objective = objective("path", &[&[cap][..], &limits].concat());
+            let goal = DriveRecord { reason: EndReason::Goal, ..drive() };
+            let with = |path_mean_m, steering_travel_radps, progress| {
+                let reason = EndReason::Goal;
+                DriveRecord { path_mean_m, steering_travel_radps, progress, reason, ..goal }
+            };
+            let values = [
+                with(0.2, 0.5, 1.0),
+                with(1e9, 0.5, 0.97),
+                with(0.0, 0.51, 1.0),
+                with(0.0, 0.7, 1.0),
+                with(0.0, 1e9, 1.0),
+                with(0.0, 1e9, 0.5),
+            ]
+            .map(|drive| objective.of(&drive));
+            assert!(values.is_sorted_by(|a, b| a < b), "{cap}: {values:?}");
+            assert!(values[5].is_finite());
+        }
+    }
+
+    #[test]
+    fn without_limits_the_paper_s_objective_is_as_it_was() {
+        let shaking = DriveRecord { steering_travel_radps: 1e3, progress: 0.1, ..drive() };
+        assert_eq!(objective("path", &[]).of(&shaking), 0.2);
+    }
+
+    #[test]
     fn what_does_not_arrive_ranks_behind_all_that_arrive() {
         for name in NAMES {
-            let sets = ["mse_scale", "path_scale", "path_max_scale", "distance_scale"]
-                .map(|key| format!("objective.settings.{key}=1.0"));
+            let sets = [
+                "mse_scale",
+                "path_scale",
+                "path_max_scale",
+                "distance_scale",
+                "steering_travel_scale",
+            ]
+            .map(|key| format!("objective.settings.{key}=1.0"));
             let mut all: Vec<&str> = vec!["objective.cap_wheelbases=2.0"];
             if *name == "weighted" {
                 all.extend(sets.iter().map(String::as_str));

@@ -1,4 +1,4 @@
-//! A weighted sum of the other objectives, each divided by its scale.
+//! A weighted sum of the other objectives and of how fast the wheels are turned, each divided by its scale.
 
 use config::RunConfig;
 
@@ -13,20 +13,25 @@ use crate::DriveRecord;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Weighted {
     distance: Distance,
-    /// Distance, mse, path, path_max.
-    weights: [f64; 4],
-    scales: [f64; 4],
+    /// Distance, mse, path, path_max, steering_travel.
+    weights: [f64; PARTS],
+    scales: [f64; PARTS],
 }
 
+/// Number of terms.
+const PARTS: usize = 5;
+/// Bounds the mean rate of the steering angle, rad/s: no car's wheels turn faster all the time.
+const MOST_TRAVEL_RADPS: f64 = 2.0;
 /// Replaces a best value of 0, so that nothing is divided by 0.
 const LEAST_SCALE: f64 = 1e-9;
 
 impl Weighted {
-    fn parts(&self, drive: &DriveRecord) -> [f64; 4] {
-        [self.distance.of(drive), Mse.of(drive), Path.of(drive), PathMax.of(drive)]
+    fn parts(&self, drive: &DriveRecord) -> [f64; PARTS] {
+        let travel = drive.steering_travel_radps;
+        [self.distance.of(drive), Mse.of(drive), Path.of(drive), PathMax.of(drive), travel]
     }
 
-    fn sum(&self, parts: [f64; 4]) -> f64 {
+    fn sum(&self, parts: [f64; PARTS]) -> f64 {
         let weighed = parts.iter().zip(self.weights).zip(self.scales);
         // An objective without a weight needs no scale.
         weighed
@@ -39,7 +44,7 @@ impl Weighted {
 impl Measure for Weighted {
     fn new(config: &RunConfig) -> Self {
         let settings = &config.objective.settings;
-        let names = ["distance", "mse", "path", "path_max"];
+        let names = ["distance", "mse", "path", "path_max", "steering_travel"];
         let of = |kind: &str| names.map(|name| settings.number(&format!("{name}_{kind}")).max(0.0));
         Self { distance: Distance::new(config), weights: of("weight"), scales: of("scale") }
     }
@@ -51,7 +56,8 @@ impl Measure for Weighted {
     fn of_bound(&self, apart_m: f64) -> f64 {
         let distance = self.distance.of_bound(apart_m);
         let mse = Mse.of_bound(apart_m);
-        self.sum([distance, mse, Path.of_bound(apart_m), PathMax.of_bound(apart_m)])
+        let (path, path_max) = (Path.of_bound(apart_m), PathMax.of_bound(apart_m));
+        self.sum([distance, mse, path, path_max, MOST_TRAVEL_RADPS])
     }
 
     fn needs_bests(&self) -> bool {
@@ -59,7 +65,7 @@ impl Measure for Weighted {
     }
 
     fn take_bests(&mut self, drives: &[DriveRecord]) {
-        let mut best = [f64::INFINITY; 4];
+        let mut best = [f64::INFINITY; PARTS];
         for drive in drives {
             for (best, part) in best.iter_mut().zip(self.parts(drive)) {
                 *best = best.min(part);
