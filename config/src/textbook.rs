@@ -142,10 +142,12 @@ mod tests {
         let wanted = wanted.iter().flat_map(|name| both.map(|it| ((*name).to_owned(), it)));
         assert_eq!(names(&late), wanted.collect::<Vec<_>>());
         let small = config("smooth_lane", &["vehicle_preset=f1tenth"]).textbook_sets();
-        assert_eq!(small[1].parameters.0[1], 2.0 * 0.3302 / 2.875);
+        let of_law = |name: &str| small.iter().find(|it| it.config.law.name == name).unwrap();
+        let pure_pursuit = of_law("pure_pursuit");
+        assert_eq!(pure_pursuit.parameters.0[1], 2.0 * 0.3302 / 2.875);
         let mut fitted = Layers::maneuver("smooth_lane").unwrap();
         fitted.set("vehicle_preset=f1tenth").unwrap();
         fitted.set("law_preset=pure_pursuit").unwrap();
-        assert_eq!(small[1].config.law, fitted.resolve().unwrap().law);
+        assert_eq!(pure_pursuit.config.law, fitted.resolve().unwrap().law);
     }
 }
