@@ -50,7 +50,7 @@ impl Layers {
     }
 
     /// Puts the path of a file on top: points, speeds, start, zones (and no rows of the paper's tables), and a loop
-    /// time that is enough to reach its end at the speeds that the layers hold so far.
+    /// time that is enough to reach its end at the speeds and for the laps that the layers hold so far.
     ///
     /// The file is a CSV with the columns `x_m`, `y_m` and optionally `v_mps`, or a raceline of TUM's form. The
     /// zones are those of the TOML file of the same name next to it, if there is one; otherwise the path is a
@@ -91,12 +91,14 @@ impl Layers {
     /// The time in which the reference reaches the end of the path, and some more, in whole seconds; `None`
     /// if the layers hold no speed to compute it from, which is reported when they are resolved.
     fn loop_time_s(&self, path: &Resampled) -> Option<f64> {
-        let at_speed_s = if path.speeds_mps.is_empty() {
+        let laps = self.number("path.laps").unwrap_or(1.0).max(1.0);
+        let lap_s = if path.speeds_mps.is_empty() {
             path.length_m
                 / self.number("reference.speed_mps").filter(|speed_mps| *speed_mps > 0.0)?
         } else {
             path.time_s
         };
+        let at_speed_s = laps * lap_s;
         let ramp_s = self.number("reference.ramp_s").filter(|ramp_s| *ramp_s >= 0.0)?;
         // During the ramp the reference is as far as it would be at full speed after t²/(2·ramp); after the ramp, as
         // far as after t − ramp/2.

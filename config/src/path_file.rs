@@ -283,10 +283,31 @@ fn check_steps(origin: &str, mut file: PathFile) -> Result<PathFile, ConfigError
         );
         return Err(mistake(origin, lines[last], problem));
     }
-    if apart_m(file.points[0], file.points[last]) <= SAME_POINT_M {
+    let gap_m = apart_m(file.points[0], file.points[last]);
+    if gap_m <= SAME_POINT_M {
         file.points[last] = file.points[0];
+    } else if is_one_step_open(&file.points, gap_m, median_m) {
+        // Racelines leave out the last point, because it is the first one.
+        file.points.push(file.points[0]);
+        file.lines.push(file.lines[last]);
+        if let Some(&speed_mps) = file.speeds_mps.first() {
+            file.speeds_mps.push(speed_mps);
+        }
     }
     Ok(file)
+}
+
+/// Whether only the last step of a lap is missing: the end lies no farther from the start than two points lie apart, and
+/// the step from there to the start leads on in the direction of its neighbours.
+fn is_one_step_open(points: &[[f64; 2]], gap_m: f64, median_m: f64) -> bool {
+    /// By how much the missing step may be longer than the others.
+    const UNEVEN: f64 = 1.5;
+    let count = points.len();
+    let step = |from: [f64; 2], to: [f64; 2]| (to[0] - from[0], to[1] - from[1]);
+    let missing = step(points[count - 1], points[0]);
+    let (before, behind) = (step(points[count - 2], points[count - 1]), step(points[0], points[1]));
+    let leads_on = |(x_m, y_m): (f64, f64)| x_m * missing.0 + y_m * missing.1 > 0.0;
+    gap_m <= UNEVEN * median_m && leads_on(before) && leads_on(behind)
 }
 
 #[cfg(test)]

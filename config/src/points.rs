@@ -6,6 +6,10 @@ use crate::{PathConfig, Supervisor, Vehicle};
 /// The largest number of points of a path: at a quarter of a metre, 25 km.
 pub(crate) const MAX_POINTS: usize = 100_000;
 
+/// The largest number of laps, and of points of all laps together: each process holds an arc for each of them.
+const MAX_LAPS: u32 = 1000;
+const MAX_LAP_POINTS: u64 = 500_000;
+
 /// How far the start may be from the first point: far below anything that matters, far above rounding.
 const START_TOLERANCE_M: f64 = 1e-3;
 
@@ -19,8 +23,18 @@ pub(crate) fn validate(
     vehicle: &Vehicle,
     supervisor: &Supervisor,
 ) -> Result<(), Problem> {
-    let PathConfig { start, pieces, points, speeds_mps, .. } = path;
+    let PathConfig { start, pieces, points, speeds_mps, laps, .. } = path;
     let fail = |key: String, problem: String| Err((key, problem));
+    if !(1..=MAX_LAPS).contains(laps) {
+        let problem = format!("is {laps}, but must lie in [1, {MAX_LAPS}]");
+        return fail("path.laps".to_owned(), problem);
+    }
+    if *laps > 1 && points.is_empty() {
+        let problem = format!(
+            "is {laps}, but a path of pieces is driven once; use a path of points, as with --path FILE"
+        );
+        return fail("path.laps".to_owned(), problem);
+    }
     match (pieces.is_empty(), points.is_empty()) {
         (true, true) => {
             let problem = "is empty, and so is path.points; a path needs a piece, or 2 points";
@@ -50,6 +64,9 @@ pub(crate) fn validate(
             return fail(key, "repeats the point before it; remove one of them".to_owned());
         }
     }
+    if *laps > 1 {
+        check_laps(path)?;
+    }
     if !speeds_mps.is_empty() && speeds_mps.len() != count {
         let problem = format!("holds {} speeds for {count} points", speeds_mps.len());
         return fail("path.speeds_mps".to_owned(), problem);
@@ -73,6 +90,30 @@ pub(crate) fn validate(
         return fail("path.start".to_owned(), problem);
     }
     curvature(points, vehicle)
+}
+
+/// Checks that a path can be driven in laps. The problem is one of the path's file, whatever asks for laps.
+fn check_laps(path: &PathConfig) -> Result<(), Problem> {
+    let PathConfig { points, laps, .. } = path;
+    let (first, last) = (points[0], points[points.len() - 1]);
+    if !path.is_closed() {
+        let gap_m = libm::hypot(last[0] - first[0], last[1] - first[1]);
+        let problem = format!(
+            "end {gap_m:.2} m from their start, so the path cannot be driven for {laps} laps; let it end where it begins, \
+             with the same heading, or leave out --laps (path.laps)"
+        );
+        return Err(("path.points".to_owned(), problem));
+    }
+    let all = points.len() as u64 * u64::from(*laps);
+    if all > MAX_LAP_POINTS {
+        let most = MAX_LAP_POINTS / points.len() as u64;
+        let problem = format!(
+            "is {laps}, but a lap of {} points is driven at most {most} times",
+            points.len()
+        );
+        return Err(("path.laps".to_owned(), problem));
+    }
+    Ok(())
 }
 
 /// Checks that the rear axle can follow the path; an error names the tightest place.

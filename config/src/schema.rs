@@ -325,8 +325,22 @@ pub struct PathConfig {
     pub points: Vec<[f64; 2]>,
     /// The reference's speed at each point; empty if it is the same everywhere.
     pub speeds_mps: Vec<f64>,
+    /// How many times a closed path is driven. Points, speeds and zones are those of one lap.
+    #[serde(default = "one_lap")]
+    pub laps: u32,
     /// The zones, in the order of the path.
     pub zones: Vec<ZoneConfig>,
+}
+
+fn one_lap() -> u32 {
+    1
+}
+
+impl PathConfig {
+    /// Whether the path is a closed one through points: its last point is its first.
+    pub fn is_closed(&self) -> bool {
+        self.points.len() > 2 && self.points.first() == self.points.last()
+    }
 }
 
 /// One piece of a path.
@@ -413,6 +427,8 @@ pub struct Reference {
 #[allow(missing_docs, reason = "documented key by key in readings.toml")]
 pub struct Drive {
     pub loop_time_s: f64,
+    #[serde(default)]
+    pub start_speed_mps: f64,
     pub tick_s: f64,
     pub goal_radius_m: f64,
 }

@@ -32,6 +32,8 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
         return Err(("drive.loop_time_s".to_owned(), problem));
     }
     within("drive.goal_radius_m", c.drive.goal_radius_m, 0.0, 100.0)?;
+    let fastest_mps = c.vehicle.speed_limit_mps.min(c.supervisor.speed_limit_mps).min(50.0);
+    within("drive.start_speed_mps", c.drive.start_speed_mps, 0.0, fastest_mps)?;
     above("controller.steering_limit_rad", c.controller.steering_limit_rad, 0.0, 1.5)?;
     above("supervisor.speed_limit_mps", c.supervisor.speed_limit_mps, 0.0, 100.0)?;
     within("supervisor.speed_margin_mps", c.supervisor.speed_margin_mps, 0.0, 100.0)?;

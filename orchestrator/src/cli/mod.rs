@@ -263,6 +263,10 @@ pub struct SetupArgs {
     /// TOML file next to it may hold zones
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
+    /// Drives a path that ends where it begins N times (the key path.laps); result.json holds time and distance of each
+    /// lap [default: 1]
+    #[arg(long, value_name = "N", requires = "path")]
+    pub laps: Option<u32>,
     /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,

@@ -52,9 +52,12 @@ pub(crate) fn layers(
     }
     // Keys that are derived from the path's length can still be overridden by hand.
     let (before, after): (Vec<_>, Vec<_>) =
-        args.set.iter().partition(|assignment| assignment.starts_with("reference."));
+        args.set.iter().partition(|it| it.starts_with("reference.") || it.starts_with("path.laps"));
     for assignment in before {
         layers.set(assignment)?;
+    }
+    if let Some(laps) = args.laps {
+        layers.put("--laps", "path.laps", i64::from(laps))?;
     }
     if let Some(path) = &args.path {
         layers.add_path(path)?;

@@ -2,6 +2,7 @@
 
 mod baselines;
 pub(crate) mod failure;
+mod laps;
 pub(crate) mod tables;
 pub(crate) mod terminal;
 mod training;

@@ -13,7 +13,7 @@ use outcome::{
 };
 
 use crate::words::terminal::say;
-use crate::words::{Failure, training};
+use crate::words::{Failure, laps, training};
 
 /// Prints the tables of a run, and what else is worth knowing about it.
 pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
@@ -23,6 +23,7 @@ pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(),
         Outcome::Grid(it) => print_grid(it, config)?,
         Outcome::Drive(it) => print_drive(it, config)?,
     }
+    laps::print(result.decided.outcome.laps())?;
     print_how_it_went(&result.run)?;
     say!("digest {}", result.decided.outcome.digest());
     Ok(())
@@ -383,7 +384,7 @@ pub(crate) fn digits(number: f64, count: usize) -> String {
 }
 
 /// The same, or a dash if there is no number.
-fn or_dash(number: Option<f64>, count: usize) -> String {
+pub(super) fn or_dash(number: Option<f64>, count: usize) -> String {
     number.map_or("–".to_owned(), |number| digits(number, count))
 }
 

@@ -131,17 +131,20 @@ impl DriveController {
         *whether |= word.reasons;
     }
 
-    /// Goes on with a drive of which only this is known: where the reference's clock last started from rest, where the
-    /// vehicle is, the steering angle that was commanded last, and the state that the law's predecessor left. The next
-    /// tick gives the time for which the clock has run.
+    /// Goes on with a drive of which only this is known: where the reference's clock last started, for how long it has
+    /// run, where the vehicle is, the steering angle that was commanded last, and the state that the law's predecessor
+    /// left.
     pub fn join(
         &mut self,
         origin_m: f64,
+        phase: Phase,
         measured: Pose,
         steering_rad: f64,
         state: Option<&LawState>,
     ) {
-        self.reference.restart_at(origin_m);
+        self.reference.resume_from(origin_m);
+        // On a path of several laps, the vehicle is in the lap in which the reference is.
+        self.reference.advance(phase.ticks, measured);
         self.look_around(self.reference.projection_m(measured));
         match state {
             Some(state) => self.law.resume(state),

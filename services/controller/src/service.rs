@@ -402,7 +402,7 @@ impl Slot {
                 return true;
             }
             Moved::Joined { origin_m } => {
-                self.drive.join(origin_m, measured, steering_rad, state);
+                self.drive.join(origin_m, self.clock.phase(), measured, steering_rad, state);
             }
             Moved::JoinedAnew => self.drive.restart(0.0, measured, 0.0),
         }

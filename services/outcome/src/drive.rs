@@ -6,7 +6,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Measures, ParameterTable, Switch};
+use crate::{Lap, Measures, ParameterTable, Switch};
 
 /// The result of a single drive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -57,6 +57,9 @@ pub struct SingleDrive {
     /// Ticks that a recorded drive lacks, by its name: by the clock, a process that is held up leaves ticks out.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub drives_lacking: BTreeMap<String, u64>,
+    /// The laps of each recorded drive, by its name, where a closed path is driven several times.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub laps: BTreeMap<String, Vec<Lap>>,
 }
 
 /// A speed beside that of the path.

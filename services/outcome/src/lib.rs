@@ -10,6 +10,7 @@ mod baselines;
 mod drive;
 mod file;
 mod grid;
+mod laps;
 mod recording;
 mod run;
 mod training;
@@ -25,6 +26,7 @@ pub use baselines::{Baseline, Baselines, TradeOff, TradedSet};
 pub use drive::{Fastest, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
+pub use laps::Lap;
 pub use recording::{RecordingFacts, TopicCounts};
 pub use run::{DeathToTick, Drives, ProcessFacts, Recovery, Run, RunDrives};
 pub use training::{
@@ -105,6 +107,17 @@ impl Outcome {
             Self::Validate(it) => &it.drives_lacking,
             Self::Grid(_) => &NONE,
             Self::Drive(it) => &it.drives_lacking,
+        }
+    }
+
+    /// The laps of recorded drives, by their names; empty if the path is driven once.
+    pub fn laps(&self) -> &BTreeMap<String, Vec<Lap>> {
+        static NONE: BTreeMap<String, Vec<Lap>> = BTreeMap::new();
+        match self {
+            Self::Train(it) => &it.laps,
+            Self::Validate(it) => &it.laps,
+            Self::Grid(_) => &NONE,
+            Self::Drive(it) => &it.laps,
         }
     }
 

@@ -6,7 +6,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Baselines, Measures, ParameterTable, TradeOff};
+use crate::{Baselines, Lap, Measures, ParameterTable, TradeOff};
 
 /// The result of a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -63,6 +63,9 @@ pub struct TrainResult {
     /// Ticks that a recorded drive lacks, by its name: by the clock, a process that is held up leaves ticks out.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub drives_lacking: BTreeMap<String, u64>,
+    /// The laps of each recorded drive, by its name, where a closed path is driven several times.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub laps: BTreeMap<String, Vec<Lap>>,
 }
 
 /// The drives from which figures come, where they are not those of our simulator. All of them are without noise.

@@ -6,7 +6,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Measures, ParameterTable};
+use crate::{Lap, Measures, ParameterTable};
 
 /// The result of a validation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -24,6 +24,9 @@ pub struct ValidateResult {
     /// Ticks that a recorded drive lacks, by its name: by the clock, a process that is held up leaves ticks out.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub drives_lacking: BTreeMap<String, u64>,
+    /// The laps of each recorded drive, by its name, where a closed path is driven several times.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub laps: BTreeMap<String, Vec<Lap>>,
 }
 
 /// One set, or one set for each manoeuvre of the path.

@@ -18,6 +18,7 @@ mod error;
 mod figures;
 mod files;
 mod grid;
+mod laps;
 mod page;
 mod panels;
 mod standings;
@@ -100,6 +101,7 @@ fn page_of(
         }
         Outcome::Drive(drive) => drive::sections(&mut page, drive, config),
     }
+    laps::section(&mut page, result.decided.outcome.laps());
     figures::sections(&mut page, &drives, config)?;
     Ok(page.finish(text))
 }

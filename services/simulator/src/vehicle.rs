@@ -64,6 +64,31 @@ struct Kind {
     /// The parts of a tick; a single one if dead times are whole numbers of ticks.
     steps: Vec<Step>,
     gear: GearTimes,
+    start: Start,
+}
+
+/// How a drive begins: at rest, or rolling at a speed that it holds.
+#[derive(Debug)]
+struct Start {
+    speed_mps: f64,
+    throttle: f64,
+    integral: f64,
+}
+
+impl Start {
+    fn new(config: &RunConfig) -> Self {
+        let (vehicle, speed_mps) = (&config.vehicle, config.drive.start_speed_mps);
+        if speed_mps == 0.0 {
+            return Self { speed_mps, throttle: 0.0, integral: 0.0 };
+        }
+        // What holds the speed against drag and rolling resistance; as far as it can, the integral holds it.
+        let held_mps2 = vehicle.drag_per_s * speed_mps + vehicle.rolling_decel_mps2;
+        let throttle = (held_mps2 / vehicle.throttle_accel_mps2).clamp(0.0, 1.0);
+        let bounds = (vehicle.speed_integral_min, vehicle.speed_integral_max);
+        let has_integral = vehicle.speed_ki > 0.0;
+        let integral = if has_integral { throttle.clamp(bounds.0, bounds.1) } else { 0.0 };
+        Self { speed_mps, throttle, integral }
+    }
 }
 
 /// A command of a tick: forward speed, and steering angle of the road wheels.
@@ -123,6 +148,7 @@ impl SimulatedVehicle {
                     .map(|part| Step { pedal_share: pedal_share(part.length_s), part })
                     .collect(),
                 gear: GearTimes::new(&vehicle, tick_s),
+                start: Start::new(config),
                 vehicle,
             }),
         };
@@ -130,22 +156,24 @@ impl SimulatedVehicle {
         new
     }
 
-    /// Puts the tracked point at `start`, at rest, and restarts the noise from its seed, if there is any.
+    /// Puts the tracked point at `start`, at rest or rolling straight on at the configured speed, and restarts the noise
+    /// from its seed, if there is any.
     pub fn reset(&mut self, start: Pose, noise_seed: Option<u64>) {
-        let Kind { vehicle, noise, steering, .. } = &*self.kind;
+        let Kind { vehicle, noise, steering, start: begin, .. } = &*self.kind;
         let back = start.ahead(-vehicle.tracked_point_m);
         self.rear_axle = Pose { x_m: back.x, y_m: back.y, yaw_rad: start.yaw_rad };
         self.noise = noise_seed.map(|seed| Box::new(PoseNoise::new(*noise, seed)));
         self.gear = GearSelector::new(vehicle);
         self.lateral.reset();
         if let Some(on_the_way) = &mut self.on_the_way {
-            on_the_way.reset(Commanded::default());
+            on_the_way.reset(Commanded { speed_mps: begin.speed_mps, steering_rad: 0.0 });
         }
-        self.speed_mps = 0.0;
+        self.gear.engaged |= begin.speed_mps > 0.0;
+        self.speed_mps = begin.speed_mps;
         self.yaw_rate_radps = 0.0;
         self.steering_rad = steering.target_rad(0.0);
-        self.integral = 0.0;
-        self.throttle = 0.0;
+        self.integral = begin.integral;
+        self.throttle = begin.throttle;
         self.brake = 0.0;
         if let Some(road) = &mut self.road {
             road.reset();

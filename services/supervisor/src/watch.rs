@@ -28,9 +28,9 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// The supervisor of a configuration, before a vehicle at rest.
+    /// The supervisor of a configuration, before a vehicle at rest, or rolling where drives begin so.
     pub fn new(config: &RunConfig) -> Self {
-        Self {
+        let mut new = Self {
             plausibility: Plausibility::new(config),
             deviation: Deviation::new(config),
             response: Response::new(config),
@@ -42,7 +42,16 @@ impl Watch {
             allowed_mps: config.supervisor.speed_limit_mps,
             changed: 0,
             own: 0,
+        };
+        let start_mps = config.drive.start_speed_mps;
+        if start_mps > 0.0 {
+            new.speed_mps = start_mps;
+            new.gate.resume(start_mps, 0.0);
+            if let Some(response) = &mut new.response {
+                response.resume(start_mps, 0.0);
+            }
         }
+        new
     }
 
     /// Goes on with a vehicle that is driving already and of which nothing was known: slowly, until all is well.

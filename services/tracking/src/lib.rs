@@ -11,6 +11,7 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+mod laps;
 mod objectives;
 mod path;
 mod record;
@@ -18,6 +19,7 @@ mod reference;
 mod steering;
 mod zones;
 
+pub use laps::{Lap, LapRecorder};
 pub use objectives::Objective;
 pub use path::{Path, PathFollower, PathPoint};
 pub use record::{DriveRecord, DriveRecorder, EndReason, TickMeasures, state_distance};

@@ -21,8 +21,9 @@ pub struct PathPoint {
 /// A path, addressed by the distance along it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
-    /// Shared by all copies: a fleet drives the same path.
+    /// Shared by all copies: a fleet drives the same path. Those of all laps, one after the other.
     segments: Arc<[Segment]>,
+    laps: usize,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -149,7 +150,8 @@ impl Segment {
 }
 
 impl Path {
-    /// The path of a configuration.
+    /// The path of a configuration. A path that is driven several times is as long as all of its laps: so a place along
+    /// it says which lap it is in.
     ///
     /// # Panics
     /// If the configuration holds neither a piece nor two points; a resolved one does.
@@ -157,7 +159,11 @@ impl Path {
         if config.points.is_empty() {
             return Self::from_pieces(config);
         }
-        Self { segments: arcs_through(&config.points).into() }
+        let laps = config.laps.max(1) as usize;
+        // The last point of a lap is the first one of the next.
+        let more = config.points[1..].iter().cycle().take((config.points.len() - 1) * (laps - 1));
+        let points: Vec<_> = config.points.iter().chain(more).copied().collect();
+        Self { segments: arcs_through(&points).into(), laps }
     }
 
     fn from_pieces(config: &PathConfig) -> Self {
@@ -193,7 +199,17 @@ impl Path {
             segments.push(segment);
         }
         assert!(!segments.is_empty(), "a resolved path has a piece");
-        Self { segments: segments.into() }
+        Self { segments: segments.into(), laps: 1 }
+    }
+
+    /// How many laps it has; 1 unless a closed path is driven several times.
+    pub fn laps(&self) -> usize {
+        self.laps
+    }
+
+    /// Where a lap begins, along the path; the first one is lap 0.
+    pub fn lap_from_m(&self, lap: usize) -> f64 {
+        self.segments[lap * (self.segments.len() / self.laps)].from_m
     }
 
     /// Length of the path.
@@ -340,6 +356,11 @@ impl PathFollower {
                 return apart_m;
             }
         }
+    }
+
+    /// The lap in which the nearest point lies; the first one is lap 0.
+    pub fn lap(&self, path: &Path) -> usize {
+        self.segment / (path.segments.len() / path.laps)
     }
 
     /// Distance along the path of the point nearest to a position, in the present segment.

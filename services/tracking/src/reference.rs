@@ -12,9 +12,11 @@ pub struct Reference {
     /// Shared by all copies, so that the state of all vehicles of a fleet fits into the nearest cache.
     plan: Arc<Plan>,
     along_m: f64,
-    /// Where its clock last started from rest, and the path's own time there.
+    /// Where its clock last started, and the path's own time there.
     origin_m: f64,
     origin_s: f64,
+    /// The share of the path's speed at which it started: 0 from rest.
+    origin_share: f64,
 }
 
 /// The part of a reference that never changes.
@@ -26,6 +28,8 @@ struct Plan {
     lookahead_m: f64,
     speed_mps: f64,
     ramp_s: f64,
+    /// The share of the path's speed at which a drive begins.
+    start_share: f64,
     /// How far from a place along the path to look first for the stretch on which a vehicle stands, and how far from the
     /// path it may stand.
     window_m: f64,
@@ -53,7 +57,10 @@ impl Timetable {
     /// The timetable of a path with these speeds at its joints.
     fn new(path: &Path, speeds_mps: &[f64]) -> Self {
         let mut rows: Vec<TimetableRow> = Vec::with_capacity(speeds_mps.len());
-        for (along_m, &speed_mps) in path.joints_m().zip(speeds_mps) {
+        // The last point of a lap is the first one of the next.
+        let (last, others) = speeds_mps.split_last().expect("a speed for each point");
+        let of_laps = others.iter().cycle().take(others.len() * path.laps()).chain([last]);
+        for (along_m, &speed_mps) in path.joints_m().zip(of_laps) {
             let time_s = rows.last().map_or(0.0, |last| {
                 last.time_s + 2.0 * (along_m - last.along_m) / (last.speed_mps + speed_mps)
             });
@@ -109,8 +116,12 @@ impl Reference {
     pub fn new(config: &RunConfig) -> Self {
         let path = Path::new(&config.path);
         let speeds_mps = &config.path.speeds_mps;
+        let timetable = (!speeds_mps.is_empty()).then(|| Timetable::new(&path, speeds_mps));
+        let first_mps = speeds_mps.first().copied().unwrap_or(config.reference.speed_mps);
+        let start_share = config.drive.start_speed_mps / first_mps;
         let plan = Plan {
-            timetable: (!speeds_mps.is_empty()).then(|| Timetable::new(&path, speeds_mps)),
+            timetable,
+            start_share,
             end: path.end(),
             path,
             advance: config.reference.advance,
@@ -121,7 +132,13 @@ impl Reference {
             reach_m: Self::REACH_WHEELBASES * config.vehicle.wheelbase_m,
             tick_s: config.drive.tick_s,
         };
-        Self { plan: Arc::new(plan), along_m: 0.0, origin_m: 0.0, origin_s: 0.0 }
+        Self {
+            plan: Arc::new(plan),
+            along_m: 0.0,
+            origin_m: 0.0,
+            origin_s: 0.0,
+            origin_share: start_share,
+        }
     }
 
     /// Moves to a time of its clock, in ticks since it last started from rest, with the pose that was measured then, and
@@ -143,11 +160,22 @@ impl Reference {
 
     /// Returns to the start of the path.
     pub fn reset(&mut self) {
-        self.restart_at(0.0);
+        self.resume_from(0.0);
     }
 
     /// Starts again from a place along the path, at rest, with the clock at 0.
     pub fn restart_at(&mut self, origin_m: f64) {
+        // Never quite 0: that is where a drive begins, which may be rolling.
+        self.resume_from(if self.plan.start_share > 0.0 {
+            origin_m.max(f64::MIN_POSITIVE)
+        } else {
+            origin_m
+        });
+    }
+
+    /// Goes on with a clock that last started at this place along the path: at rest, or where a drive begins at its speed.
+    pub fn resume_from(&mut self, origin_m: f64) {
+        self.origin_share = if origin_m == 0.0 { self.plan.start_share } else { 0.0 };
         self.origin_m = origin_m;
         self.origin_s = self.plan.timetable.as_ref().map_or(0.0, |it| it.time_s(origin_m));
         self.along_m = origin_m;
@@ -220,7 +248,8 @@ impl Reference {
             return 0.0;
         }
         let time_s = phase_ticks * tick_s;
-        let share = if time_s < *ramp_s { time_s / ramp_s } else { 1.0 };
+        let from = self.origin_share;
+        let share = if time_s < *ramp_s { from + (1.0 - from) * (time_s / ramp_s) } else { 1.0 };
         share * self.path_speed_mps(self.along_m)
     }
 
@@ -240,9 +269,17 @@ impl Reference {
         self.along_m + self.ahead_m() >= self.plan.path.length_m()
     }
 
-    /// Place along the path after a time: a linear ramp from rest, then the set speed, or the path's own.
+    /// Place along the path after a time: a linear ramp from rest or from the speed at which the drive begins, then the set
+    /// speed, or the path's own.
     fn distance_after(&self, time_s: f64) -> f64 {
         let Plan { timetable, speed_mps, ramp_s, .. } = &*self.plan;
+        // By how much it is ahead of a ramp from rest.
+        let ramped_s = time_s.min(*ramp_s);
+        let ahead_s = if self.origin_share == 0.0 || *ramp_s == 0.0 {
+            0.0
+        } else {
+            self.origin_share * (ramped_s - 0.5 * ramped_s * ramped_s / ramp_s)
+        };
         if let Some(timetable) = timetable {
             // The ramp stretches time, as it does at a set speed: each of the path's speeds is reached at its
             // place, and there is no jump at the end of the ramp.
@@ -251,14 +288,14 @@ impl Reference {
             } else {
                 time_s - 0.5 * ramp_s
             };
-            return timetable.along_m(self.origin_s + at_speed_s);
+            return timetable.along_m(self.origin_s + (at_speed_s + ahead_s));
         }
         let run_m = if time_s < *ramp_s {
             0.5 * speed_mps * time_s * time_s / ramp_s
         } else {
             speed_mps * (time_s - 0.5 * ramp_s)
         };
-        self.origin_m + run_m
+        self.origin_m + (run_m + speed_mps * ahead_s)
     }
 }
 

@@ -8,11 +8,14 @@ use crate::{Path, Pose};
 #[derive(Debug, Clone, PartialEq)]
 pub struct ZoneTracker {
     path: Path,
-    /// Where each zone begins, along the path; the first at 0.
+    /// Where each zone of each lap begins, along the path; the first at 0.
     from_m: Vec<f64>,
+    /// Zones of a lap.
+    zones: usize,
     by: ZoneBy,
     hysteresis_m: f64,
     along_m: f64,
+    /// Counted over all laps.
     zone: usize,
 }
 
@@ -23,9 +26,14 @@ impl ZoneTracker {
 
     /// A tracker at the start of the path.
     pub fn new(config: &RunConfig) -> Self {
+        let path = Path::new(&config.path);
+        let zones = &config.path.zones;
+        let of_lap = |lap: usize| zones.iter().map(move |zone| (lap, zone.from_m));
+        let all = (0..path.laps()).flat_map(of_lap);
         Self {
-            path: Path::new(&config.path),
-            from_m: config.path.zones.iter().map(|zone| zone.from_m).collect(),
+            from_m: all.map(|(lap, from_m)| path.lap_from_m(lap) + from_m).collect(),
+            zones: zones.len(),
+            path,
             by: config.supervisor.zone_by,
             hysteresis_m: config.supervisor.zone_hysteresis_m,
             along_m: 0.0,
@@ -47,7 +55,7 @@ impl ZoneTracker {
 
     /// The zone, given the pose that is measured now and the reference's progress.
     pub fn update(&mut self, measured: Pose, reference_along_m: f64) -> usize {
-        if self.from_m.len() == 1 {
+        if self.zones == 1 {
             return 0;
         }
         self.along_m = match self.by {
@@ -64,7 +72,7 @@ impl ZoneTracker {
         while self.along_m < self.from_m[self.zone] - self.hysteresis_m {
             self.zone -= 1;
         }
-        self.zone
+        self.zone % self.zones
     }
 }
 

@@ -96,6 +96,7 @@ pub fn train_result(
         learners: training.tuner().story(),
         drives_recorded: Vec::new(),
         drives_lacking: BTreeMap::new(),
+        laps: BTreeMap::new(),
     }
 }
 

@@ -101,6 +101,7 @@ impl Schedule {
             max_len: attachment.max_len,
             tick_s: config.drive.tick_s,
             ticks: config.ticks(),
+            laps: crate::sweeping::laps_of(&config),
             // A drive in real time goes on without this process, and is not made again.
             incarnation: if plan.realtime { 0 } else { attachment.incarnation },
         };
@@ -261,6 +262,7 @@ impl Schedule {
     /// The outcome of the drives that were made: of a validation, only the rows that are whole. `None` if that is nothing.
     fn outcome(&mut self, driven: &[Option<Driven>]) -> Result<Option<Outcome>> {
         let (recorded, lacking) = (self.sweeping.recorded(), self.sweeping.lacking());
+        let laps = self.sweeping.laps();
         Ok(match &self.subject {
             Subject::Validation(validation) => {
                 let mut switches = vec![Vec::new(); validation.len()];
@@ -275,6 +277,7 @@ impl Schedule {
                     let mut result = validation.result(&driven, &switches);
                     result.drives_recorded = recorded;
                     result.drives_lacking = lacking;
+                    result.laps = laps;
                     Outcome::Validate(result)
                 })
             }
@@ -286,6 +289,7 @@ impl Schedule {
                 result.fastest = fastest(&self.config, self.sweeping.last_rows());
                 result.drives_recorded = recorded;
                 result.drives_lacking = lacking;
+                result.laps = laps;
                 Outcome::Drive(result)
             }),
         })

@@ -247,6 +247,7 @@ impl Trainer {
             max_len: self.max_len,
             tick_s: self.config.drive.tick_s,
             ticks: self.config.ticks(),
+            laps: crate::sweeping::laps_of(&self.config),
             incarnation: self.incarnation,
         }
     }

@@ -114,6 +114,7 @@ impl SingleDrive {
             switches,
             drives_recorded: Vec::new(),
             drives_lacking: BTreeMap::new(),
+            laps: BTreeMap::new(),
         }
     }
 }

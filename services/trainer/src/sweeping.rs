@@ -4,9 +4,12 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
+use config::RunConfig;
 use ipc_types::{Attempt, BatchHeader, DriveOutcome, DriveReport, LearnerProgress, Proposal};
+use outcome::Lap;
 use runtime::Bus;
 use runtime::clock::now_ns;
+use tracking::LapRecorder;
 
 use crate::recording::{RECORDING_PATIENCE, Recorder, Row, write};
 use crate::sweep::{PlannedDrive, Sweep};
@@ -20,8 +23,16 @@ pub(crate) struct Place {
     pub(crate) tick_s: f64,
     /// Full length of a drive.
     pub(crate) ticks: u64,
+    /// Counts the laps of recorded drives; `None` if the path is driven once.
+    pub(crate) laps: Option<LapRecorder>,
     /// Which start of the process it is.
     pub(crate) incarnation: u64,
+}
+
+/// What counts the laps of a recorded drive; `None` if the path is driven once.
+pub(crate) fn laps_of(config: &RunConfig) -> Option<LapRecorder> {
+    let path = || tracking::Path::new(&config.path);
+    (config.path.laps > 1).then(|| LapRecorder::new(path(), config.drive.tick_s))
 }
 
 /// The result of one look at a sweep.
@@ -46,6 +57,8 @@ pub(crate) struct Sweeping {
     recorded: Vec<String>,
     /// Ticks that recordings lack, by their names.
     lacking: BTreeMap<String, u64>,
+    /// The laps of recordings, by their names.
+    laps: BTreeMap<String, Vec<Lap>>,
     /// The last recording.
     last_rows: Vec<Row>,
 }
@@ -73,6 +86,7 @@ impl Sweeping {
             unrecorded: Vec::new(),
             recorded: Vec::new(),
             lacking: BTreeMap::new(),
+            laps: BTreeMap::new(),
             last_rows: Vec::new(),
         })
     }
@@ -96,6 +110,11 @@ impl Sweeping {
     /// Ticks that recordings lack, by their names.
     pub(crate) fn lacking(&self) -> BTreeMap<String, u64> {
         self.lacking.clone()
+    }
+
+    /// The laps of recorded drives, by their names; empty if the path is driven once.
+    pub(crate) fn laps(&self) -> BTreeMap<String, Vec<Lap>> {
+        self.laps.clone()
     }
 
     /// The last recording; empty if there is none.
@@ -158,6 +177,10 @@ impl Sweeping {
                 tracing::warn!(name, lacking, of = all, "the recording lacks ticks");
                 self.lacking.insert(name.clone(), lacking);
             }
+            if let Some(recorder) = &self.place.laps {
+                let arrived = record_of(&report).arrived();
+                self.laps.insert(name.clone(), count_laps(recorder, &rows, arrived));
+            }
             self.recorded.push(name);
             self.last_rows = rows;
             self.sweep.take(&report);
@@ -193,6 +216,9 @@ impl Sweeping {
         let rows = recorder.take(learner, step, u64::MAX, false).unwrap_or_default();
         if let Some(name) = self.sweep.drive(index).record.clone().filter(|_| !rows.is_empty()) {
             write(&self.place.folder, &name, &rows)?;
+            if let Some(recorder) = &self.place.laps {
+                self.laps.insert(name.clone(), count_laps(recorder, &rows, false));
+            }
             self.recorded.push(name);
         }
         self.last_rows.clone_from(&rows);
@@ -214,4 +240,16 @@ impl Sweeping {
         let attempt = Attempt::between_batches(self.place.run);
         BatchHeader { attempt, flags, sent_ns: now_ns(), ..BatchHeader::default() }
     }
+}
+
+/// The laps of a recording.
+fn count_laps(recorder: &LapRecorder, rows: &[Row], arrived: bool) -> Vec<Lap> {
+    let mut recorder = recorder.clone();
+    rows.iter().for_each(|row| recorder.add(row.tick, row.x_m, row.y_m));
+    let lap = |it: tracking::Lap| Lap {
+        time_s: it.time_s,
+        path_mean_m: it.path_mean_m,
+        path_max_m: it.path_max_m,
+    };
+    recorder.finish(arrived).into_iter().map(lap).collect()
 }

@@ -119,6 +119,7 @@ impl Validation {
             rows,
             drives_recorded: Vec::new(),
             drives_lacking: BTreeMap::new(),
+            laps: BTreeMap::new(),
         }
     }
 

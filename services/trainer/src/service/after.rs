@@ -109,6 +109,7 @@ impl Trainer {
             TrainingStage::Demonstrating(sweeping, mut result) => {
                 result.drives_recorded = sweeping.recorded();
                 result.drives_lacking = sweeping.lacking();
+                result.laps = sweeping.laps();
                 write_outcome(&self.folder, &decided(&self.config, Outcome::Train(result)))?;
                 self.proposals.send(self.header(Proposal::FINISHED), 1, |_| Proposal::default())?;
                 Ok(())
