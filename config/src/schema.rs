@@ -271,6 +271,11 @@ impl ObjectiveConfig {
 pub struct ObjectiveLimits {
     pub steering_travel_price_radps: f64,
     pub steering_travel_radps: f64,
+    pub steering_rate_p95_radps: f64,
+    pub lateral_acceleration_p95_mps2: f64,
+    pub lateral_acceleration_max_mps2: f64,
+    pub lateral_jerk_p95_mps3: f64,
+    pub lateral_jerk_max_mps3: f64,
     pub progress: f64,
 }
 

@@ -201,11 +201,16 @@ fn presets(config: &RunConfig) -> Result<(), Problem> {
     law::validate(&config.law)?;
     tuner(&config.tuner)?;
     let limits = &config.objective.limits;
-    for (key, radps) in [
-        ("objective.limits.steering_travel_price_radps", limits.steering_travel_price_radps),
-        ("objective.limits.steering_travel_radps", limits.steering_travel_radps),
+    for (key, limit) in [
+        ("steering_travel_price_radps", limits.steering_travel_price_radps),
+        ("steering_travel_radps", limits.steering_travel_radps),
+        ("steering_rate_p95_radps", limits.steering_rate_p95_radps),
+        ("lateral_acceleration_p95_mps2", limits.lateral_acceleration_p95_mps2),
+        ("lateral_acceleration_max_mps2", limits.lateral_acceleration_max_mps2),
+        ("lateral_jerk_p95_mps3", limits.lateral_jerk_p95_mps3),
+        ("lateral_jerk_max_mps3", limits.lateral_jerk_max_mps3),
     ] {
-        within(key, radps, 0.0, 100.0)?;
+        within(&format!("objective.limits.{key}"), limit, 0.0, 1000.0)?;
     }
     within("objective.limits.progress", limits.progress, 0.0, 1.0)?;
     within("objective.cap_wheelbases", config.objective.cap_wheelbases, 0.0, 1000.0)

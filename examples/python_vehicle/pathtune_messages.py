@@ -321,8 +321,13 @@ class DriveReport(Struct):
         ("path_p95_m", ctypes.c_double),
         ("path_max_m", ctypes.c_double),
         ("progress", ctypes.c_double),
+        ("progress_in_time", ctypes.c_double),
         ("steering_travel_radps", ctypes.c_double),
+        ("steering_rate_p95_radps", ctypes.c_double),
+        ("lateral_acceleration_p95_mps2", ctypes.c_double),
         ("lateral_acceleration_max_mps2", ctypes.c_double),
+        ("lateral_jerk_p95_mps3", ctypes.c_double),
+        ("lateral_jerk_max_mps3", ctypes.c_double),
         ("learner", ctypes.c_uint32),
         ("step", ctypes.c_uint32),
         ("reason", ctypes.c_uint32),
@@ -339,10 +344,10 @@ class DriveReport(Struct):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.DriveReport#f08ef248"
+        return "pathtune.DriveReport#e272dd09"
 
 
-assert ctypes.sizeof(DriveReport) == 280, "DriveReport"
+assert ctypes.sizeof(DriveReport) == 320, "DriveReport"
 assert DriveReport.parameters.offset == 0, "DriveReport.parameters"
 assert DriveReport.seed.offset == 128, "DriveReport.seed"
 assert DriveReport.ticks.offset == 136, "DriveReport.ticks"
@@ -358,14 +363,19 @@ assert DriveReport.path_mean_m.offset == 208, "DriveReport.path_mean_m"
 assert DriveReport.path_p95_m.offset == 216, "DriveReport.path_p95_m"
 assert DriveReport.path_max_m.offset == 224, "DriveReport.path_max_m"
 assert DriveReport.progress.offset == 232, "DriveReport.progress"
-assert DriveReport.steering_travel_radps.offset == 240, "DriveReport.steering_travel_radps"
-assert DriveReport.lateral_acceleration_max_mps2.offset == 248, "DriveReport.lateral_acceleration_max_mps2"
-assert DriveReport.learner.offset == 256, "DriveReport.learner"
-assert DriveReport.step.offset == 260, "DriveReport.step"
-assert DriveReport.reason.offset == 264, "DriveReport.reason"
-assert DriveReport.stopped_for.offset == 268, "DriveReport.stopped_for"
-assert DriveReport.slowed_for.offset == 272, "DriveReport.slowed_for"
-assert DriveReport.flags.offset == 276, "DriveReport.flags"
+assert DriveReport.progress_in_time.offset == 240, "DriveReport.progress_in_time"
+assert DriveReport.steering_travel_radps.offset == 248, "DriveReport.steering_travel_radps"
+assert DriveReport.steering_rate_p95_radps.offset == 256, "DriveReport.steering_rate_p95_radps"
+assert DriveReport.lateral_acceleration_p95_mps2.offset == 264, "DriveReport.lateral_acceleration_p95_mps2"
+assert DriveReport.lateral_acceleration_max_mps2.offset == 272, "DriveReport.lateral_acceleration_max_mps2"
+assert DriveReport.lateral_jerk_p95_mps3.offset == 280, "DriveReport.lateral_jerk_p95_mps3"
+assert DriveReport.lateral_jerk_max_mps3.offset == 288, "DriveReport.lateral_jerk_max_mps3"
+assert DriveReport.learner.offset == 296, "DriveReport.learner"
+assert DriveReport.step.offset == 300, "DriveReport.step"
+assert DriveReport.reason.offset == 304, "DriveReport.reason"
+assert DriveReport.stopped_for.offset == 308, "DriveReport.stopped_for"
+assert DriveReport.slowed_for.offset == 312, "DriveReport.slowed_for"
+assert DriveReport.flags.offset == 316, "DriveReport.flags"
 
 
 class DriveOutcome(Struct):
@@ -376,12 +386,12 @@ class DriveOutcome(Struct):
 
     @staticmethod
     def type_name() -> str:
-        return "pathtune.DriveOutcome#a09d68e4"
+        return "pathtune.DriveOutcome#359fdd2e"
 
 
-assert ctypes.sizeof(DriveOutcome) == 304, "DriveOutcome"
+assert ctypes.sizeof(DriveOutcome) == 344, "DriveOutcome"
 assert DriveOutcome.report.offset == 0, "DriveOutcome.report"
-assert DriveOutcome.attempt.offset == 280, "DriveOutcome.attempt"
+assert DriveOutcome.attempt.offset == 320, "DriveOutcome.attempt"
 
 
 class Proposal(Struct):

@@ -482,7 +482,7 @@ message!(
     /// What is remembered of a drive. Sent by the controller when the batch has ended, one a slot.
     ///
     /// Errors are those of the true poses where the vehicle knows them, else of the measured ones.
-    #[name = "pathtune.DriveReport#f08ef248"]
+    #[name = "pathtune.DriveReport#e272dd09"]
     pub struct DriveReport {
         /// The parameters of the request, as [`DriveRequest::parameters`].
         pub parameters: [f64; MAX_PARAMETERS],
@@ -514,10 +514,21 @@ message!(
         pub path_max_m: f64,
         /// The share of the path, from 0 to 1, at which the drive ended.
         pub progress: f64,
+        /// The share of the path, from 0 to 1, that had been covered when the reference reached the path's end, or when
+        /// the drive ended if that was earlier.
+        pub progress_in_time: f64,
         /// Mean absolute rate of the commanded steering angle.
         pub steering_travel_radps: f64,
-        /// Largest absolute lateral acceleration: speed times yaw rate of the odometry.
+        /// The absolute rate of the commanded steering angle that 95 % of the ticks do not exceed.
+        pub steering_rate_p95_radps: f64,
+        /// The absolute lateral acceleration that 95 % of the ticks do not exceed: speed times yaw rate of the odometry.
+        pub lateral_acceleration_p95_mps2: f64,
+        /// Its largest value.
         pub lateral_acceleration_max_mps2: f64,
+        /// The absolute change of the lateral acceleration over 0.1 s, a second, that 95 % of the times do not exceed.
+        pub lateral_jerk_p95_mps3: f64,
+        /// Its largest value.
+        pub lateral_jerk_max_mps3: f64,
         /// The learner that asked.
         pub learner: u32,
         /// Its step.
@@ -551,7 +562,7 @@ constants!(
 
 message!(
     /// A finished drive, as the trainer is told of it. Sent by the orchestrator, again when asked again.
-    #[name = "pathtune.DriveOutcome#a09d68e4"]
+    #[name = "pathtune.DriveOutcome#359fdd2e"]
     pub struct DriveOutcome {
         /// The controller's report.
         pub report: DriveReport,

@@ -231,6 +231,7 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         "{} s driven; it ended {reason}; all figures are of the {poses} poses",
         digits(it.driven_s, 1)
     );
+    say_effort("steering", &it.measures)?;
     if let Some(it) = it.fastest {
         say!(
             "at its fastest {} m/s, where the path says {} m/s",
@@ -248,6 +249,22 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
             "the controller was restarted during the drive: the figures cover the time since then"
         );
     }
+    Ok(())
+}
+
+/// Prints how hard a drive was on wheels and passengers, and how well it kept up with the reference.
+pub(super) fn say_effort(whose: &str, it: &Measures) -> Result<(), Failure> {
+    say!(
+        "{whose}: {} rad/s on average, {} at the 95th percentile; lateral acceleration {} m/s² (95 %), {} at most; lateral \
+         jerk {} m/s³ (95 %), {} at most; {:.1} % of the path covered in the reference's time",
+        digits(it.steering_travel_radps, 3),
+        digits(it.steering_rate_p95_radps, 3),
+        digits(it.lateral_acceleration_p95_mps2, 2),
+        digits(it.lateral_acceleration_max_mps2, 2),
+        digits(it.lateral_jerk_p95_mps3, 1),
+        digits(it.lateral_jerk_max_mps3, 1),
+        100.0 * it.progress_in_time,
+    );
     Ok(())
 }
 

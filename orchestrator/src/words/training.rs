@@ -7,8 +7,8 @@ use outcome::{
 };
 
 use crate::words::tables::{
-    MeasureColumns, Ranks, digits, header, note_off_grid, objective_column, set_cells, size_with,
-    table_of,
+    MeasureColumns, Ranks, digits, header, note_off_grid, objective_column, say_effort, set_cells,
+    size_with, table_of,
 };
 use crate::words::terminal::say;
 use crate::words::{Failure, baselines};
@@ -77,6 +77,7 @@ pub(super) fn print(
             config.grid().len()
         ),
     }
+    say_effort("steering of the tuned set", &it.measures)?;
     baselines::print(it, config)?;
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");

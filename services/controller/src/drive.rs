@@ -2,7 +2,7 @@
 
 use config::{Parameters, RunConfig};
 use tracking::{
-    DriveRecord, DriveRecorder, EndReason, PathFollower, Pose, Reference, TickMeasures,
+    Covered, DriveRecord, DriveRecorder, EndReason, PathFollower, Pose, Reference, TickMeasures,
     TrackingError, tracking_error,
 };
 
@@ -67,6 +67,8 @@ pub struct DriveController {
     ticks: u64,
     /// Ticks that the reference's clock had run before it last started from rest.
     ticks_before: f64,
+    /// Share of the path that had been covered when the reference reached its end, once it has.
+    covered_in_time: Option<f64>,
     gate: GateWord,
     stopped_for: u32,
     slowed_for: u32,
@@ -90,13 +92,14 @@ impl DriveController {
         Self {
             reference: Reference::new(config),
             law: ControlLaw::new(config),
-            recorder: DriveRecorder::default(),
+            recorder: DriveRecorder::new(config.drive.tick_s),
             follower: PathFollower::default(),
             parameters: Parameters::default(),
             trace: Trace::default(),
             near_m: 0.0,
             ticks: config.ticks(),
             ticks_before: 0.0,
+            covered_in_time: None,
             gate: GateWord::default(),
             stopped_for: 0,
             slowed_for: 0,
@@ -120,6 +123,7 @@ impl DriveController {
         self.parameters = parameters;
         self.ticks = ticks;
         self.ticks_before = 0.0;
+        self.covered_in_time = None;
         self.gate = GateWord::default();
         (self.stopped_for, self.slowed_for, self.stop_ticks) = (0, 0, 0);
     }
@@ -214,7 +218,7 @@ impl DriveController {
         self.trace.add(command.steering_rad);
 
         self.stop_ticks += u64::from(self.gate.is_final);
-        let ended = self.end_reason(phase, seen).map(|reason| self.end(reason, scored));
+        let ended = self.end_reason(phase, seen, scored).map(|reason| self.end(reason, scored));
         let reference_along_m = self.reference.along_m();
         Decision { command, error, reference_along_m, path_distance_m, ended }
     }
@@ -222,18 +226,25 @@ impl DriveController {
     /// The record of the drive, which ends with the vehicle at this pose.
     #[cold]
     fn end(&mut self, reason: EndReason, pose: Pose) -> DriveRecord {
-        let path = self.reference.path();
-        let along_m = self.follower.along_m(path, pose.x_m, pose.y_m);
         let progress = match reason {
             // A vehicle within the goal's radius is at the end.
             EndReason::Goal => 1.0,
-            _ => (along_m / path.length_m()).clamp(0.0, 1.0),
+            _ => self.covered(pose),
         };
-        let record = self.recorder.finish(reason, self.ticks, self.tick_s, progress, self.trace.0);
+        let covered =
+            Covered { at_end: progress, in_time: self.covered_in_time.unwrap_or(progress) };
+        let record = self.recorder.finish(reason, self.ticks, self.tick_s, covered, self.trace.0);
         DriveRecord { stopped_for: self.stopped_for, slowed_for: self.slowed_for, ..record }
     }
 
-    fn end_reason(&self, phase: Phase, seen: Seen) -> Option<EndReason> {
+    /// The share of the path that lies behind this pose, which is that of the present tick.
+    fn covered(&self, pose: Pose) -> f64 {
+        let path = self.reference.path();
+        let along_m = self.follower.along_m(path, pose.x_m, pose.y_m);
+        (along_m / path.length_m()).clamp(0.0, 1.0)
+    }
+
+    fn end_reason(&mut self, phase: Phase, seen: Seen, scored: Pose) -> Option<EndReason> {
         if seen.collision {
             return Some(EndReason::Collision);
         }
@@ -249,6 +260,9 @@ impl DriveController {
             let (dx, dy) = (seen.measured.x_m - end.x_m, seen.measured.y_m - end.y_m);
             if libm::hypot(dx, dy) <= self.goal_radius_m {
                 return Some(EndReason::Goal);
+            }
+            if self.covered_in_time.is_none() && self.reference.advances_by_time() {
+                self.covered_in_time = Some(self.covered(scored));
             }
         }
         // The drive's time is that of the reference's clock, so that a vehicle which was held can still arrive.

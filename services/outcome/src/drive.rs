@@ -39,10 +39,6 @@ pub struct SingleDrive {
     pub mean_abs_cross_track_m: f64,
     /// Its largest value.
     pub max_cross_track_m: f64,
-    /// Mean absolute rate of the commanded steering angle.
-    pub steering_travel_radps: f64,
-    /// Largest absolute lateral acceleration: speed times yaw rate.
-    pub lateral_acceleration_max_mps2: f64,
     /// Where it drove fastest, compared with the speed of the path there; null if nothing of it was recorded.
     #[serde(default)]
     pub fastest: Option<Fastest>,

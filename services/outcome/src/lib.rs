@@ -151,6 +151,25 @@ pub struct Measures {
     /// Mean absolute rate of the commanded steering angle.
     #[serde(default)]
     pub steering_travel_radps: f64,
+    /// The absolute rate of the commanded steering angle that 95 % of the ticks do not exceed.
+    #[serde(default)]
+    pub steering_rate_p95_radps: f64,
+    /// The absolute lateral acceleration that 95 % of the ticks do not exceed: speed times yaw rate.
+    #[serde(default)]
+    pub lateral_acceleration_p95_mps2: f64,
+    /// Its largest value.
+    #[serde(default)]
+    pub lateral_acceleration_max_mps2: f64,
+    /// The absolute change of the lateral acceleration over 0.1 s, a second, that 95 % of the times do not exceed.
+    #[serde(default)]
+    pub lateral_jerk_p95_mps3: f64,
+    /// Its largest value.
+    #[serde(default)]
+    pub lateral_jerk_max_mps3: f64,
+    /// Share of the path, 0 to 1, that had been covered when the reference reached its end, or when the drive ended if
+    /// that was earlier.
+    #[serde(default)]
+    pub progress_in_time: f64,
     /// Whether the drive ended at the end of the path.
     pub arrived: bool,
 }

@@ -64,9 +64,7 @@ pub(crate) fn sections(page: &mut Page, drive: &SingleDrive, config: &RunConfig)
                 }
             }
             p {
-                "The commanded steering angle moved by " (number(drive.steering_travel_radps, 3))
-                " rad/s on average, and the lateral acceleration was at most "
-                (number(drive.lateral_acceleration_max_mps2, 2)) " m/s²."
+                (crate::standings::effort(&drive.measures))
             }
         },
     );

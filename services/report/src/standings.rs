@@ -8,6 +8,22 @@ use outcome::{GridStanding, Measures, RankedSet, SetStanding};
 use crate::axis::{integer, number};
 use crate::page::{parameter_cells_marked, parameter_heads, table};
 
+/// How hard a drive was on wheels and passengers, and how well it kept up with the reference.
+pub(crate) fn effort(it: &Measures) -> String {
+    format!(
+        "The commanded steering angle moved by {} rad/s on average ({} at the 95th percentile); the lateral acceleration \
+         was {} m/s² at the 95th percentile and at most {}, the lateral jerk {} m/s³ and at most {}; {} % of the path had \
+         been covered when the reference reached its end.",
+        number(it.steering_travel_radps, 3),
+        number(it.steering_rate_p95_radps, 3),
+        number(it.lateral_acceleration_p95_mps2, 2),
+        number(it.lateral_acceleration_max_mps2, 2),
+        number(it.lateral_jerk_p95_mps3, 1),
+        number(it.lateral_jerk_max_mps3, 1),
+        number(100.0 * it.progress_in_time, 1),
+    )
+}
+
 /// One row of the table.
 #[derive(Debug)]
 pub(crate) struct Row<'a> {

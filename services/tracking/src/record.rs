@@ -57,10 +57,22 @@ pub struct DriveRecord {
     pub path_max_m: f64,
     /// Share of the path, 0 to 1, that had been covered when the drive ended.
     pub progress: f64,
+    /// Share of the path, 0 to 1, that had been covered when the reference reached its end, or when the drive ended if
+    /// that was earlier: how well the vehicle keeps up.
+    pub progress_in_time: f64,
     /// Mean absolute rate of the commanded steering angle.
     pub steering_travel_radps: f64,
-    /// Largest absolute lateral acceleration: speed times yaw rate, as the odometry reports them.
+    /// The absolute rate of the commanded steering angle that 95 % of the ticks do not exceed.
+    pub steering_rate_p95_radps: f64,
+    /// The absolute lateral acceleration that 95 % of the ticks do not exceed: speed times yaw rate, as the odometry
+    /// reports them.
+    pub lateral_acceleration_p95_mps2: f64,
+    /// Its largest value.
     pub lateral_acceleration_max_mps2: f64,
+    /// The absolute lateral jerk that 95 % of the times do not exceed: the change of the lateral acceleration over 0.1 s.
+    pub lateral_jerk_p95_mps3: f64,
+    /// Its largest value.
+    pub lateral_jerk_max_mps3: f64,
     /// What the gate stopped the vehicle for, as bits of its reasons; 0 if it did not.
     #[serde(default)]
     pub stopped_for: u32,
@@ -103,11 +115,15 @@ impl DriveRecord {
             self.path_p95_m,
             self.path_max_m,
             self.steering_travel_radps,
+            self.steering_rate_p95_radps,
+            self.lateral_acceleration_p95_mps2,
             self.lateral_acceleration_max_mps2,
+            self.lateral_jerk_p95_mps3,
+            self.lateral_jerk_max_mps3,
         ]
         .into_iter()
         .all(|number| number.is_finite() && number >= 0.0)
-            && (0.0..=1.0).contains(&self.progress)
+            && [self.progress, self.progress_in_time].iter().all(|it| (0.0..=1.0).contains(it))
     }
 }
 
@@ -147,14 +163,64 @@ pub struct DriveRecorder {
     path_max: f64,
     path_distances: Samples,
     steering_travel: f64,
+    /// Changes of the steering angle from tick to tick.
+    turns: Samples,
+    lateral_accelerations: Samples,
     lateral_acceleration_max: f64,
+    jerk: Jerk,
+}
+
+/// How far a drive had come, as shares of the path from 0 to 1.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Covered {
+    /// When the drive ended.
+    pub at_end: f64,
+    /// When the reference reached the path's end, or when the drive ended if that was earlier.
+    pub in_time: f64,
+}
+
+/// The change of the lateral acceleration from one sample to the next, a tenth of a second later.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct Jerk {
+    /// Ticks between two samples, from their length on.
+    every: u64,
+    last_mps2: f64,
+    changes: Samples,
+    max_mps2: f64,
+}
+
+impl Jerk {
+    /// Time between two samples: a change from tick to tick would be the odometry's noise.
+    const OVER_S: f64 = 0.1;
+
+    #[inline]
+    fn add(&mut self, tick: u64, lateral_acceleration_mps2: f64) {
+        if self.every == 0 || !tick.is_multiple_of(self.every) {
+            return;
+        }
+        let change_mps2 = (lateral_acceleration_mps2 - self.last_mps2).abs();
+        self.last_mps2 = lateral_acceleration_mps2;
+        self.changes.add(change_mps2);
+        self.max_mps2 = self.max_mps2.max(change_mps2);
+    }
 }
 
 impl DriveRecorder {
+    /// Before the first tick of a drive with ticks of this length.
+    pub fn new(tick_s: f64) -> Self {
+        let every = libm::round(Jerk::OVER_S / tick_s).max(1.0) as u64;
+        Self { jerk: Jerk { every, ..Jerk::default() }, ..Self::default() }
+    }
+
     /// Returns to the start, for another drive.
     pub fn reset(&mut self) {
-        let path_distances = std::mem::take(&mut self.path_distances).cleared();
-        *self = Self { path_distances, ..Self::default() };
+        let cleared = |samples: &mut Samples| std::mem::take(samples).cleared();
+        let path_distances = cleared(&mut self.path_distances);
+        let turns = cleared(&mut self.turns);
+        let lateral_accelerations = cleared(&mut self.lateral_accelerations);
+        let changes = cleared(&mut self.jerk.changes);
+        let jerk = Jerk { every: self.jerk.every, changes, ..Jerk::default() };
+        *self = Self { path_distances, turns, lateral_accelerations, jerk, ..Self::default() };
     }
 
     /// Adds one tick.
@@ -167,20 +233,24 @@ impl DriveRecorder {
         self.path_max = self.path_max.max(tick.path_distance_m);
         self.path_distances.add(tick.path_distance_m);
         // Starts from 0: at the start of a drive the wheels are straight.
-        self.steering_travel += (tick.steering_rad - self.last.steering_rad).abs();
+        let turn_rad = (tick.steering_rad - self.last.steering_rad).abs();
+        self.steering_travel += turn_rad;
+        self.turns.add(turn_rad);
+        let lateral_acceleration_mps2 = tick.lateral_acceleration_mps2.abs();
+        self.lateral_accelerations.add(lateral_acceleration_mps2);
         self.lateral_acceleration_max =
-            self.lateral_acceleration_max.max(tick.lateral_acceleration_mps2.abs());
+            self.lateral_acceleration_max.max(lateral_acceleration_mps2);
+        self.jerk.add(self.ticks, tick.lateral_acceleration_mps2);
         self.last = tick;
     }
 
-    /// Ends the drive, which would have lasted `full_ticks` of `tick_s` each; `progress` is the share of the path that
-    /// had been covered.
+    /// Ends the drive, which would have lasted `full_ticks` of `tick_s` each.
     pub fn finish(
         &mut self,
         reason: EndReason,
         full_ticks: u64,
         tick_s: f64,
-        progress: f64,
+        covered: Covered,
         trace: u64,
     ) -> DriveRecord {
         let mut ticks = self.ticks;
@@ -195,6 +265,7 @@ impl DriveRecorder {
         }
         let count = ticks.max(1) as f64;
         let driven = self.ticks.max(1) as f64;
+        let jerk_s = self.jerk.every.max(1) as f64 * tick_s;
         DriveRecord {
             ticks: self.ticks,
             reason,
@@ -209,9 +280,17 @@ impl DriveRecorder {
             path_mean_m: self.path / count,
             path_p95_m: self.path_distances.percentile(0.95).min(self.path_max),
             path_max_m: self.path_max,
-            progress,
+            progress: covered.at_end,
+            progress_in_time: covered.in_time,
             steering_travel_radps: self.steering_travel / (driven * tick_s),
+            steering_rate_p95_radps: self.turns.percentile(0.95) / tick_s,
+            lateral_acceleration_p95_mps2: self
+                .lateral_accelerations
+                .percentile(0.95)
+                .min(self.lateral_acceleration_max),
             lateral_acceleration_max_mps2: self.lateral_acceleration_max,
+            lateral_jerk_p95_mps3: self.jerk.changes.percentile(0.95) / jerk_s,
+            lateral_jerk_max_mps3: self.jerk.max_mps2 / jerk_s,
             stopped_for: 0,
             slowed_for: 0,
         }
@@ -298,7 +377,7 @@ mod tests {
 
     #[test]
     fn means_are_over_the_ticks() {
-        let mut recorder = DriveRecorder::default();
+        let mut recorder = DriveRecorder::new(0.1);
         recorder.add(TickMeasures { steering_rad: 0.1, ..tick(1.0) });
         recorder.add(TickMeasures {
             steering_limited: true,
@@ -306,7 +385,8 @@ mod tests {
             lateral_acceleration_mps2: -2.0,
             ..tick(-3.0)
         });
-        let record = recorder.finish(EndReason::Time, 2, 0.01, 0.5, 7);
+        let covered = Covered { at_end: 0.5, in_time: 0.25 };
+        let record = recorder.finish(EndReason::Time, 2, 0.1, covered, 7);
         assert_eq!(record.mean_abs_cross_m, 2.0);
         assert_eq!(record.mean_abs_heading_rad, 0.5);
         assert_eq!(record.mse_m2(), 0.5 + 2.5);
@@ -315,11 +395,17 @@ mod tests {
         assert_eq!(record.distance(10.0), (4.0f64 + 2.5).sqrt());
         assert_eq!((record.path_mean_m, record.path_max_m), (2.0, 3.0));
         assert!((record.path_p95_m - 2.9).abs() < 1e-6);
-        assert!((record.steering_travel_radps - 0.3 / 0.02).abs() < 1e-12);
-        assert_eq!((record.lateral_acceleration_max_mps2, record.progress), (2.0, 0.5));
+        assert!((record.steering_travel_radps - 0.3 / 0.2).abs() < 1e-12);
+        assert!((record.steering_rate_p95_radps - (0.1 + 0.95 * 0.1) / 0.1).abs() < 1e-6);
+        assert_eq!((record.progress, record.progress_in_time), (0.5, 0.25));
+        assert_eq!(record.lateral_acceleration_max_mps2, 2.0);
+        assert!((record.lateral_acceleration_p95_mps2 - 1.9).abs() < 1e-6);
+        // From 0 to -2 m/s² within a tenth of a second.
+        assert_eq!(record.lateral_jerk_max_mps3, 20.0);
+        assert!((record.lateral_jerk_p95_mps3 - 19.0).abs() < 1e-6);
         assert!(record.is_plausible());
         recorder.reset();
-        assert_eq!(recorder, DriveRecorder::default());
+        assert_eq!(recorder, DriveRecorder::new(0.1));
     }
 
     #[test]
@@ -328,7 +414,7 @@ mod tests {
             let mut recorder = DriveRecorder::default();
             recorder.add(tick(0.0));
             recorder.add(tick(4.0));
-            recorder.finish(reason, 10, 0.01, 0.0, 0)
+            recorder.finish(reason, 10, 0.01, Covered::default(), 0)
         };
         let crashed = finish(EndReason::Collision);
         assert_eq!(crashed.ticks, 2);

@@ -158,6 +158,11 @@ impl Reference {
         }
     }
 
+    /// Whether it moves by its clock, whatever the vehicle does; otherwise the vehicle pushes it ahead of itself.
+    pub fn advances_by_time(&self) -> bool {
+        self.plan.advance == Advance::Time
+    }
+
     /// Returns to the start of the path.
     pub fn reset(&mut self) {
         self.resume_from(0.0);

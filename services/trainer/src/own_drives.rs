@@ -95,7 +95,7 @@ pub(crate) fn recommended(training: &Training) -> Parameters {
     training.tuner().recommend(&|a, b| mean(a).total_cmp(&mean(b)).then_with(|| by_values(a, b)))
 }
 
-/// The means of the measures of a set's drives: of the largest distance from the path the largest, and arrived only if all
+/// The means of the measures of a set's drives: of the largest values the largest, and arrived only if all
 /// drives did.
 ///
 /// # Panics
@@ -107,14 +107,21 @@ pub(crate) fn mean_of(all: &[Measures]) -> Measures {
         let sum: f64 = all.iter().map(|it| of(it) - of(&first)).sum();
         of(&first) + sum / all.len() as f64
     };
+    let most = |of: fn(&Measures) -> f64| all.iter().map(of).fold(0.0, f64::max);
     Measures {
         value: mean(|it| it.value),
         distance: mean(|it| it.distance),
         mse_m2: mean(|it| it.mse_m2),
         path_mean_m: mean(|it| it.path_mean_m),
         path_p95_m: mean(|it| it.path_p95_m),
-        path_max_m: all.iter().map(|it| it.path_max_m).fold(0.0, f64::max),
+        path_max_m: most(|it| it.path_max_m),
         steering_travel_radps: mean(|it| it.steering_travel_radps),
+        steering_rate_p95_radps: mean(|it| it.steering_rate_p95_radps),
+        lateral_acceleration_p95_mps2: mean(|it| it.lateral_acceleration_p95_mps2),
+        lateral_acceleration_max_mps2: most(|it| it.lateral_acceleration_max_mps2),
+        lateral_jerk_p95_mps3: mean(|it| it.lateral_jerk_p95_mps3),
+        lateral_jerk_max_mps3: most(|it| it.lateral_jerk_max_mps3),
+        progress_in_time: mean(|it| it.progress_in_time),
         arrived: all.iter().all(|it| it.arrived),
     }
 }

@@ -189,6 +189,12 @@ const NOT_DRIVEN: Measures = Measures {
     path_p95_m: f64::INFINITY,
     path_max_m: f64::INFINITY,
     steering_travel_radps: f64::INFINITY,
+    steering_rate_p95_radps: f64::INFINITY,
+    lateral_acceleration_p95_mps2: f64::INFINITY,
+    lateral_acceleration_max_mps2: f64::INFINITY,
+    lateral_jerk_p95_mps3: f64::INFINITY,
+    lateral_jerk_max_mps3: f64::INFINITY,
+    progress_in_time: 0.0,
     arrived: false,
 };
 
@@ -206,6 +212,12 @@ pub(crate) fn measures_of(
         path_p95_m: drive.path_p95_m,
         path_max_m: drive.path_max_m,
         steering_travel_radps: drive.steering_travel_radps,
+        steering_rate_p95_radps: drive.steering_rate_p95_radps,
+        lateral_acceleration_p95_mps2: drive.lateral_acceleration_p95_mps2,
+        lateral_acceleration_max_mps2: drive.lateral_acceleration_max_mps2,
+        lateral_jerk_p95_mps3: drive.lateral_jerk_p95_mps3,
+        lateral_jerk_max_mps3: drive.lateral_jerk_max_mps3,
+        progress_in_time: drive.progress_in_time,
         arrived: drive.arrived(),
     }
 }

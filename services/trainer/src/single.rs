@@ -6,7 +6,7 @@ use config::{ConfigError, Parameters, RunConfig, SweepPlan};
 use ipc_types::{DriveReport, Odometry, Safety, has};
 use outcome::Switch;
 use tracking::{
-    DriveRecorder, EndReason, Objective, PathFollower, Reference, TickMeasures, TrackingError,
+    Covered, DriveRecorder, EndReason, Objective, PathFollower, Reference, TickMeasures, TrackingError,
 };
 
 use crate::digest::digest_of_drives;
@@ -49,8 +49,13 @@ impl SingleDrive {
     /// The drive that was interrupted after these ticks; `None` if there are none.
     pub(crate) fn interrupted(&self, rows: &[Row]) -> Option<Driven> {
         let (first, last) = (rows.first()?, rows.last()?);
-        let mut recorder = DriveRecorder::default();
+        let tick_s = self.config.drive.tick_s;
+        let mut recorder = DriveRecorder::new(tick_s);
+        let reference = Reference::new(&self.config);
+        let path = reference.path();
+        let mut follower = PathFollower::default();
         for row in rows {
+            follower.distance_m(path, row.x_m, row.y_m);
             recorder.add(TickMeasures {
                 error: TrackingError {
                     along_track_m: row.along_track_m,
@@ -64,12 +69,10 @@ impl SingleDrive {
                 lateral_acceleration_mps2: row.speed_mps * row.yaw_rate_radps,
             });
         }
-        let reference = Reference::new(&self.config);
-        let (path, ticks) = (reference.path(), last.tick + 1);
-        let along_m = PathFollower::new(path, 0.0).along_m(path, last.x_m, last.y_m);
+        let along_m = follower.along_m(path, last.x_m, last.y_m);
         let progress = (along_m / path.length_m()).clamp(0.0, 1.0);
-        let tick_s = self.config.drive.tick_s;
-        let record = recorder.finish(EndReason::Time, ticks, tick_s, progress, 0);
+        let covered = Covered { at_end: progress, in_time: progress };
+        let record = recorder.finish(EndReason::Time, last.tick + 1, tick_s, covered, 0);
         let has_truth =
             rows.iter().any(|row| (row.x_m, row.y_m) != (row.measured_x_m, row.measured_y_m));
         let report = DriveReport {
@@ -106,8 +109,6 @@ impl SingleDrive {
             cross_m2: record.cross_mse_m2,
             mean_abs_cross_track_m: record.mean_abs_cross_m,
             max_cross_track_m: record.max_abs_cross_m,
-            steering_travel_radps: record.steering_travel_radps,
-            lateral_acceleration_max_mps2: record.lateral_acceleration_max_mps2,
             fastest: None,
             true_poses: has(report.flags, Odometry::HAS_TRUTH),
             joined: has(report.flags, DriveReport::JOINED),

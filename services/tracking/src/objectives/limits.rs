@@ -1,6 +1,6 @@
 //! Limits of a drive beside its objective: a price on turning the wheels, and bounds that a drive is to keep.
 //!
-//! A further limit is a key of `config::ObjectiveLimits` and a term of [`Limits::missed`].
+//! A further limit is a key of `config::ObjectiveLimits` and a row of [`Limits::bounds`].
 
 use config::ObjectiveLimits;
 
@@ -13,7 +13,11 @@ pub(super) struct Limits(pub(super) ObjectiveLimits);
 impl Limits {
     /// Whether there is a limit that a drive can break; a price is none.
     pub(super) fn are_hard(&self) -> bool {
-        self.0.steering_travel_radps > 0.0 || self.0.progress > 0.0
+        let with_price_alone = ObjectiveLimits {
+            steering_travel_price_radps: self.0.steering_travel_price_radps,
+            ..ObjectiveLimits::default()
+        };
+        self.0 != with_price_alone
     }
 
     /// What the objective is multiplied by: 1 + e², with the excess e = travel / threshold − 1, or 1 below the
@@ -29,8 +33,21 @@ impl Limits {
 
     /// How much a drive misses the limits by: 0 if it keeps them all, at most 1 for each that it breaks.
     pub(super) fn missed(&self, drive: &DriveRecord) -> f64 {
-        over(drive.steering_travel_radps, self.0.steering_travel_radps)
-            + (self.0.progress - drive.progress).max(0.0)
+        let over: f64 = self.bounds(drive).iter().map(|&(value, limit)| over(value, limit)).sum();
+        over + (self.0.progress - drive.progress_in_time).max(0.0)
+    }
+
+    /// What a drive is to keep below: its value, and the limit.
+    fn bounds(&self, drive: &DriveRecord) -> [(f64, f64); 6] {
+        let limits = &self.0;
+        [
+            (drive.steering_travel_radps, limits.steering_travel_radps),
+            (drive.steering_rate_p95_radps, limits.steering_rate_p95_radps),
+            (drive.lateral_acceleration_p95_mps2, limits.lateral_acceleration_p95_mps2),
+            (drive.lateral_acceleration_max_mps2, limits.lateral_acceleration_max_mps2),
+            (drive.lateral_jerk_p95_mps3, limits.lateral_jerk_p95_mps3),
+            (drive.lateral_jerk_max_mps3, limits.lateral_jerk_max_mps3),
+        ]
     }
 }
 

@@ -220,9 +220,11 @@ mod tests {
                 ["objective.limits.steering_travel_radps=0.5", "objective.limits.progress=0.97"];
             let objective = objective("path", &[&[cap][..], &limits].concat());
             let goal = DriveRecord { reason: EndReason::Goal, ..drive() };
-            let with = |path_mean_m, steering_travel_radps, progress| {
-                let reason = EndReason::Goal;
-                DriveRecord { path_mean_m, steering_travel_radps, progress, reason, ..goal }
+            let with = |path_mean_m, steering_travel_radps, progress_in_time| DriveRecord {
+                path_mean_m,
+                steering_travel_radps,
+                progress_in_time,
+                ..goal
             };
             let values = [
                 with(0.2, 0.5, 1.0),
@@ -235,6 +237,29 @@ mod tests {
             .map(|drive| objective.of(&drive));
             assert!(values.is_sorted_by(|a, b| a < b), "{cap}: {values:?}");
             assert!(values[5].is_finite());
+        }
+    }
+
+    #[test]
+    fn each_limit_holds_what_it_names() {
+        type Of = fn(&mut DriveRecord) -> &mut f64;
+        let limits: [(&str, Of); 6] = [
+            ("steering_travel_radps", |it| &mut it.steering_travel_radps),
+            ("steering_rate_p95_radps", |it| &mut it.steering_rate_p95_radps),
+            ("lateral_acceleration_p95_mps2", |it| &mut it.lateral_acceleration_p95_mps2),
+            ("lateral_acceleration_max_mps2", |it| &mut it.lateral_acceleration_max_mps2),
+            ("lateral_jerk_p95_mps3", |it| &mut it.lateral_jerk_p95_mps3),
+            ("lateral_jerk_max_mps3", |it| &mut it.lateral_jerk_max_mps3),
+        ];
+        for (key, field) in limits {
+            let objective = objective("path", &[&format!("objective.limits.{key}=2.0")]);
+            let with = |value| {
+                let mut drive = drive();
+                *field(&mut drive) = value;
+                objective.of(&drive)
+            };
+            assert_eq!(with(2.0), 0.2, "{key}");
+            assert!(with(2.1) > with(2.0) && with(3.0) > with(2.1), "{key}");
         }
     }
 
