@@ -219,3 +219,64 @@ fn each_mistake_in_a_path_has_one_line() {
     check(&format!("x_m,y_m\n{tight}"), &["p.csv:", "radius"]);
     sandbox.assert_clean();
 }
+
+/// A raceline as TUM's tools write it: separated by ';', and without the last point, which is the first one.
+fn raceline() -> String {
+    let rows = (0..180).map(|index| {
+        let angle = TAU * f64::from(index) / 180.0;
+        let (s_m, yaw_rad) = (15.0 * angle, angle - TAU / 4.0);
+        let (x_m, y_m) = (15.0 * angle.sin(), 15.0 * (1.0 - angle.cos()));
+        format!("{s_m:.4};{x_m:.4};{y_m:.4};{yaw_rad:.4};0.066667;2.0;0.0\n")
+    });
+    let rows: String = rows.collect();
+    format!("# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2\n{rows}")
+}
+
+#[test]
+fn a_lap_is_driven_several_times_and_started_anywhere_at_rest_or_rolling() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("raceline.csv"), raceline()).unwrap();
+    fs::write(sandbox.path("slalom.csv"), slalom()).unwrap();
+    let set = ["--law", "pure_pursuit", "--gains", "2,1,0.5,0.5"];
+    let drive = |name: &str, more: &[&str]| {
+        let path = ["drive", "--path", "raceline.csv", "--laps", "3"];
+        sandbox.json(name, &[&path[..], &set, more].concat())
+    };
+    let laps = |result: &Value| -> Vec<(f64, f64)> {
+        let laps = result["laps"]["drive"].as_array().unwrap().iter();
+        laps.map(|lap| (number(&lap["time_s"]), number(&lap["path_mean_m"]))).collect()
+    };
+    let at_rest = drive("at_rest", &[]);
+    assert_eq!(at_rest["reason"], "goal");
+    let from_rest = laps(&at_rest);
+    assert_eq!(from_rest.len(), 3);
+    // A lap of 94.25 m at 2 m/s; the first one holds the start, and the third ends within the goal's radius.
+    let lap_s = TAU * 15.0 / 2.0;
+    assert!((from_rest[1].0 - lap_s).abs() < 0.1, "{from_rest:?}");
+    assert!(from_rest[0].0 > lap_s + 1.0, "{from_rest:?}");
+
+    // A quarter of a lap farther on, and rolling: the first lap is like the second.
+    let place = ["--start", "15,15", "--set", "drive.start_speed_mps=2"];
+    let rolling = drive("rolling", &place);
+    assert_eq!(rolling["reason"], "goal");
+    let of_rolling = laps(&rolling);
+    assert!((of_rolling[0].0 - of_rolling[1].0).abs() < 0.3, "{of_rolling:?}");
+    let mut reader = csv::Reader::from_path(sandbox.path("rolling/drives/drive.csv")).unwrap();
+    let first: BTreeMap<String, String> = reader.deserialize().next().unwrap().unwrap();
+    let of = |key: &str| first[key].parse::<f64>().unwrap();
+    assert!((of("x_m") - 15.0).abs() < 0.2 && (of("y_m") - 15.0).abs() < 0.2, "{first:?}");
+    assert!((of("yaw_rad") - TAU / 4.0).abs() < 0.02 && of("speed_mps") > 1.9, "{first:?}");
+
+    for (args, wanted) in [
+        (&["--path", "slalom.csv", "--laps", "2"][..], "cannot be driven for 2 laps"),
+        (&["--path", "slalom.csv", "--start", "10,0"], "is not closed"),
+        (&["--path", "raceline.csv", "--start", "300,0"], "no point of raceline.csv is within"),
+        (&["--path", "raceline.csv", "--start", "here"], "give X,Y in metres"),
+    ] {
+        let refused = sandbox.run(&[&["drive"][..], args, &set].concat());
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(64), "{args:?}: {said}");
+        assert!(said.contains(wanted), "{args:?}: {said}");
+    }
+    sandbox.assert_clean();
+}

@@ -9,7 +9,7 @@ use toml::{Spanned, Table, Value};
 use crate::points::MAX_POINTS;
 use crate::presets::OWN_PATH;
 use crate::resample::{Resampled, resample};
-use crate::{ConfigError, Layers, ZoneConfig, path_file};
+use crate::{ConfigError, Layers, StartAt, ZoneConfig, path_file};
 
 /// The size of the largest file that is read: enough for a million rows of many columns, but a wrong file is not read
 /// for minutes.
@@ -59,10 +59,26 @@ impl Layers {
     /// # Errors
     /// At the first mistake in either file, with its line and what to do about it.
     pub fn add_path(&mut self, file: &Path) -> Result<(), ConfigError> {
+        self.add_path_from(file, None)
+    }
+
+    /// As [`Layers::add_path`], for a drive that begins at the point of a closed path which is nearest to a place.
+    ///
+    /// # Errors
+    /// As there, and if the path cannot be started at that place.
+    pub fn add_path_from(
+        &mut self,
+        file: &Path,
+        start: Option<StartAt>,
+    ) -> Result<(), ConfigError> {
         let origin = file.display().to_string();
         let given =
             path_file::parse(&origin, &read(file, "name a CSV file with columns x_m,y_m")?)?;
-        let path = resample(&given.points, &given.speeds_mps, MAX_POINTS);
+        let mut path = resample(&given.points, &given.speeds_mps, MAX_POINTS);
+        if let Some(start) = start {
+            refuse_zones_with_start(file)?;
+            path.begin_at(&origin, start)?;
+        }
 
         let floats =
             |values: &[f64]| Value::Array(values.iter().map(|v| Value::Float(*v)).collect());
@@ -71,7 +87,7 @@ impl Layers {
         self.put(&origin, "path.pieces", Value::Array(Vec::new()))?;
         self.put(&origin, "path.points", Value::Array(points))?;
         self.put(&origin, "path.speeds_mps", floats(&path.speeds_mps))?;
-        let first = format!("{origin}:{}", given.lines[0]);
+        let first = format!("{origin}:{}", given.lines[path.given[0]]);
         self.put(&first, "path.start.x_m", path.points[0][0])?;
         self.put(&first, "path.start.y_m", path.points[0][1])?;
         self.put(&first, "path.start.yaw_rad", path.yaw_rad)?;
@@ -178,6 +194,20 @@ fn read(file: &Path, hint: &str) -> Result<Vec<u8>, ConfigError> {
         return Err(ConfigError::new(&origin, "", problem));
     }
     Ok(bytes)
+}
+
+/// Zones are given from the first point of the file on, and a start elsewhere would move them.
+fn refuse_zones_with_start(path_file: &Path) -> Result<(), ConfigError> {
+    let zones = path_file.with_extension("toml");
+    if zones == path_file || !zones.exists() {
+        return Ok(());
+    }
+    let problem = format!(
+        "asks for a start on the way, but {} holds zones, which begin at the path's first point; let the file begin where the \
+         vehicle stands, or leave out --start",
+        zones.display()
+    );
+    Err(ConfigError::new("--start", "", problem))
 }
 
 #[cfg(test)]

@@ -131,7 +131,7 @@ pub(crate) fn resample(points: &[[f64; 2]], speeds_mps: &[f64], most: usize) -> 
 }
 
 /// The path's heading at each point.
-fn headings(points: &[[f64; 2]]) -> Vec<f64> {
+pub(crate) fn headings(points: &[[f64; 2]]) -> Vec<f64> {
     let last = points.len() - 1;
     let chord = |from: [f64; 2], to: [f64; 2]| (to[0] - from[0], to[1] - from[1]);
     let heading = |(x_m, y_m): (f64, f64)| libm::atan2(y_m, x_m);

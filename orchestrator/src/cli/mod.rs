@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use config::StartAt;
 
 /// Tunes a path-tracking controller by reinforcement learning, in separate processes that communicate over shared
 /// memory.
@@ -267,6 +268,10 @@ pub struct SetupArgs {
     /// lap [default: 1]
     #[arg(long, value_name = "N", requires = "path")]
     pub laps: Option<u32>,
+    /// Begins a path that ends where it begins at the point nearest to this place, in metres in the path's frame; where it
+    /// passes twice, the heading in radians decides [default: the first point of the file]
+    #[arg(long, value_name = "X,Y[,YAW]", requires = "path", allow_hyphen_values = true)]
+    pub start: Option<StartAt>,
     /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,

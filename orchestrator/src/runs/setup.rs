@@ -60,7 +60,7 @@ pub(crate) fn layers(
         layers.put("--laps", "path.laps", i64::from(laps))?;
     }
     if let Some(path) = &args.path {
-        layers.add_path(path)?;
+        layers.add_path_from(path, args.start)?;
     }
     for assignment in after {
         layers.set(assignment)?;

@@ -6,7 +6,8 @@ use config::{ConfigError, Parameters, RunConfig, SweepPlan};
 use ipc_types::{DriveReport, Odometry, Safety, has};
 use outcome::Switch;
 use tracking::{
-    Covered, DriveRecorder, EndReason, Objective, PathFollower, Reference, TickMeasures, TrackingError,
+    Covered, DriveRecorder, EndReason, Objective, PathFollower, Reference, TickMeasures,
+    TrackingError,
 };
 
 use crate::digest::digest_of_drives;

@@ -37,6 +37,13 @@ impl Limits {
         over + (self.0.progress - drive.progress_in_time).max(0.0)
     }
 
+    /// What [`Limits::missed`] does not exceed: 1 for each limit that is set.
+    pub(super) fn most_missed(&self) -> f64 {
+        let bounds = self.bounds(&DriveRecord::default());
+        let set = bounds.iter().map(|&(_, limit)| limit).chain([self.0.progress]);
+        set.filter(|&limit| limit > 0.0).count() as f64
+    }
+
     /// What a drive is to keep below: its value, and the limit.
     fn bounds(&self, drive: &DriveRecord) -> [(f64, f64); 6] {
         let limits = &self.0;

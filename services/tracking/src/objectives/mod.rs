@@ -112,8 +112,9 @@ impl Objective {
     /// The value of a drive: finite, not negative, the smaller the better.
     ///
     /// If drives are meant to arrive, or have limits, the value of one that does and keeps them is bounded. The value of
-    /// any other is the bound times (1 + how much it misses), so that it ranks behind all that arrive within the limits;
-    /// what one misses that does not arrive is the share of the path that it did not drive.
+    /// any other is the bound times (1 + how much it misses), so that it ranks behind all that arrive within the limits.
+    /// What one misses that does not arrive is the share of the path that it did not drive, and as much as one can miss
+    /// that breaks all limits: it ranks behind all that arrive.
     pub fn of(&self, drive: &DriveRecord) -> f64 {
         if self.cap_m.is_none() && !self.limits.are_hard() {
             return self.kind.of(drive) * self.limits.price(drive);
@@ -122,7 +123,7 @@ impl Objective {
         let mut missed = self.limits.missed(drive);
         if self.cap_m.is_some() && drive.reason != EndReason::Goal {
             // Never quite the bound itself, even at the very end of the path.
-            missed += (1.0 - drive.progress).max(1e-6);
+            missed += (1.0 - drive.progress).max(1e-6) + self.limits.most_missed();
         }
         match missed > 0.0 {
             true => bound * (1.0 + missed),
@@ -220,6 +221,7 @@ mod tests {
                 ["objective.limits.steering_travel_radps=0.5", "objective.limits.progress=0.97"];
             let objective = objective("path", &[&[cap][..], &limits].concat());
             let goal = DriveRecord { reason: EndReason::Goal, ..drive() };
+            let late = DriveRecord { reason: EndReason::Time, progress: 0.99, ..goal };
             let with = |path_mean_m, steering_travel_radps, progress_in_time| DriveRecord {
                 path_mean_m,
                 steering_travel_radps,
@@ -237,6 +239,12 @@ mod tests {
             .map(|drive| objective.of(&drive));
             assert!(values.is_sorted_by(|a, b| a < b), "{cap}: {values:?}");
             assert!(values[5].is_finite());
+            if cap.ends_with("2.0") {
+                assert!(
+                    objective.of(&late) > values[5],
+                    "what does not arrive is behind all that do"
+                );
+            }
         }
     }
 
