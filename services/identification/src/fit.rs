@@ -1,0 +1,199 @@
+//! The fits one after the other: speed, yaw rate, yaw rate with poses; and which keys the drive tells at all.
+
+use config::Vehicle;
+use nalgebra::DVector;
+
+use crate::drive::Stretch;
+use crate::levenberg::{Axis, Model, Spread, Weights, cost, descend, even, settle, spread, weigh};
+use crate::speed::{self, Speed};
+use crate::steering::{self, Steering};
+
+/// Half the width of a 95 % interval in standard deviations.
+pub(crate) const Z95: f64 = 1.96;
+/// A fit that is worse by this much (twice the logarithm of the likelihood) contradicts the value that it was held at.
+const CONTRADICTED: f64 = 15.0;
+
+/// How wide half of an interval may be for a key to count as identified, in the coordinates of the fit.
+pub(crate) type Limit = f64;
+
+/// A fit that is done.
+#[derive(Debug, Clone)]
+pub(crate) struct Fitted {
+    pub(crate) at: Vec<f64>,
+    pub(crate) axes: Vec<Axis>,
+    pub(crate) weights: Weights,
+    pub(crate) spread: Spread,
+    /// By parameter: what came of it.
+    pub(crate) told: Vec<Told>,
+}
+
+/// What a drive tells of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Told {
+    /// It is identified.
+    Identified,
+    /// Its interval is too wide; it keeps the file's value.
+    TooWide {
+        /// Half the width that it had.
+        half: f64,
+    },
+    /// Its interval is too wide, but the file's value fits worse.
+    Contradicted {
+        /// Half the width that it has.
+        half: f64,
+    },
+    /// It was never to be fitted.
+    Held,
+}
+
+impl Fitted {
+    /// Variance of a combination of parameters: a factor for some of them. Parameters that are held have none.
+    pub(crate) fn variance(&self, of: &[(usize, f64)]) -> f64 {
+        let mut factors = DVector::zeros(self.spread.free.len());
+        for (index, factor) in of {
+            if let Some(row) = self.spread.free.iter().position(|it| it == index) {
+                factors[row] += factor;
+            }
+        }
+        self.spread.variance(&factors)
+    }
+
+    /// Half the width of the 95 % interval of a combination.
+    pub(crate) fn half(&self, of: &[(usize, f64)]) -> f64 {
+        Z95 * self.variance(of).max(0.0).sqrt()
+    }
+}
+
+/// A model whose parameters can be held.
+pub(crate) trait Held: Model {
+    fn axes_mut(&mut self) -> &mut Vec<Axis>;
+}
+
+impl Held for Speed<'_> {
+    fn axes_mut(&mut self) -> &mut Vec<Axis> {
+        &mut self.axes
+    }
+}
+
+impl Held for Steering<'_> {
+    fn axes_mut(&mut self) -> &mut Vec<Axis> {
+        &mut self.axes
+    }
+}
+
+/// The best of some starts after a few iterations.
+fn best_start(
+    model: &impl Model,
+    starts: Vec<Vec<f64>>,
+    iterations: usize,
+) -> Option<(Vec<f64>, Weights)> {
+    let all = |_: usize| true;
+    let weights = weigh(model, starts.first()?, &even(model), &all);
+    let ends = starts.into_iter().map(|start| {
+        let end = descend(model, &weights, &start, iterations);
+        (cost(model, &weights, &end), end)
+    });
+    let (_, best) = ends.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some((best, weights))
+}
+
+/// Holds one parameter after the other that the drive does not tell at the file's value: the least told first, because
+/// another one may be told once it is held.
+fn hold_what_is_not_told<M: Held>(
+    model: &mut M,
+    mut at: Vec<f64>,
+    mut weights: Weights,
+    limits: &dyn Fn(usize, &[f64]) -> Limit,
+) -> Option<Fitted> {
+    let all = |_: usize| true;
+    let told = |axis: &Axis| if axis.free { Told::Identified } else { Told::Held };
+    let mut told: Vec<Told> = model.axes().iter().map(told).collect();
+    loop {
+        let spread = spread(model, &weights, &at)?;
+        let fitted = Fitted {
+            at: at.clone(),
+            axes: model.axes().to_vec(),
+            weights: weights.clone(),
+            spread,
+            told: told.clone(),
+        };
+        let excess = |index: usize| fitted.half(&[(index, 1.0)]) / limits(index, &at);
+        let worst = (0..at.len())
+            .filter(|&index| told[index] == Told::Identified)
+            .max_by(|a, b| excess(*a).total_cmp(&excess(*b)))
+            .filter(|&index| excess(index) > 1.0);
+        let Some(worst) = worst else { return Some(fitted) };
+        let half = fitted.half(&[(worst, 1.0)]);
+        let before = cost(model, &weights, &at);
+        let mut held = at.clone();
+        held[worst] = model.axes()[worst].prior;
+        model.axes_mut()[worst].free = false;
+        let held = descend(model, &weights, &held, 12);
+        if cost(model, &weights, &held) > before + CONTRADICTED {
+            model.axes_mut()[worst].free = true;
+            told[worst] = Told::Contradicted { half };
+        } else {
+            told[worst] = Told::TooWide { half };
+            (at, weights) = settle(model, weights, &held, 1, &all);
+        }
+    }
+}
+
+/// Fits the speed loop.
+pub(crate) fn fit_speed(
+    stretches: &[Stretch],
+    vehicle: &Vehicle,
+    limits: &dyn Fn(usize, &[f64]) -> Limit,
+) -> Option<Fitted> {
+    let mut model = Speed::new(stretches, vehicle);
+    let file = speed::of_vehicle(vehicle).to_vec();
+    let mut starts = Vec::new();
+    for delay_s in [0.0, 0.15, 0.3] {
+        for pedals in [-0.4, 0.5] {
+            let mut start = file.clone();
+            start[speed::DELAY] = delay_s;
+            start[speed::THROTTLE] += pedals;
+            starts.push(start);
+        }
+    }
+    let (start, weights) = best_start(&model, starts, 6)?;
+    let (at, weights) = settle(&model, weights, &start, 4, &|_| true);
+    hold_what_is_not_told(&mut model, at, weights, limits)
+}
+
+/// Fits steering, wheelbase and the odometry's point.
+pub(crate) fn fit_steering(
+    stretches: &[Stretch],
+    vehicle: &Vehicle,
+    point_m: f64,
+    wheelbase_is_measured: bool,
+    limits: &dyn Fn(usize, &[f64]) -> Limit,
+) -> Option<Fitted> {
+    let alone = Steering::new(stretches, vehicle, point_m, wheelbase_is_measured, false);
+    let file = steering::of_vehicle(vehicle, point_m).to_vec();
+    let mut starts = Vec::new();
+    for delay_s in [0.0, 0.1, 0.2, 0.35] {
+        for rate_radps in [0.2, 0.5, 1.2] {
+            let mut start = file.clone();
+            start[steering::DELAY] = delay_s;
+            start[steering::RATE] = libm::log(rate_radps);
+            starts.push(start);
+        }
+    }
+    let (start, weights) = best_start(&alone, starts, 4)?;
+    let (start, _) = settle(&alone, weights, &start, 2, &|_| true);
+    let mut joint = Steering::new(stretches, vehicle, point_m, wheelbase_is_measured, true);
+    let weights = even(&joint);
+    let (at, weights) = settle(&joint, weights, &start, 4, &|_| true);
+    hold_what_is_not_told(&mut joint, at, weights, limits)
+}
+
+/// The fit of some blocks alone, with the same parameters held.
+pub(crate) fn refit<M: Held>(
+    mut model: M,
+    fitted: &Fitted,
+    counts: &dyn Fn(usize) -> bool,
+) -> Vec<f64> {
+    *model.axes_mut() = fitted.axes.clone();
+    settle(&model, fitted.weights.clone(), &fitted.at, 1, counts).0
+}

@@ -1,0 +1,286 @@
+//! From recorded drives to the values of a vehicle's file.
+
+use config::Vehicle;
+use serde::Serialize;
+
+use crate::computed::{Computed, computed, follows};
+use crate::drive::{Drive, Stretch, choose, stretches};
+use crate::fit::{Fitted, fit_speed, fit_steering, refit};
+use crate::levenberg::robust_sd;
+use crate::prediction::{self, Car, FOLDS, Prediction, is_held_out};
+use crate::refusal::Refusal;
+use crate::rows::{
+    Row, delay_and_lag, limits_of_speed, limits_of_steering, speed_rows, steering_rows,
+};
+use crate::speed::Speed;
+use crate::steering::{self, HEADING, POSITION, Steering};
+
+/// Which key of a vehicle's file says where the point of the recorded poses lies.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Point {
+    /// `tracked_point_m`: the recording holds what the pipeline saw.
+    #[default]
+    Tracked,
+    /// `ros2.odometry_point_m`: the recording holds what the car published.
+    Odometry,
+}
+
+/// What the user knows.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Options {
+    /// Which key the recorded poses tell.
+    pub point: Point,
+    /// The file's wheelbase was measured at the car: then the steering's gain is found in its place. A drive tells only
+    /// their ratio.
+    pub wheelbase_is_measured: bool,
+    /// The drive is a simulation's, so that odometry may follow the commands without lag and noise.
+    pub is_simulated: bool,
+}
+
+/// Noise of the odometry, as `[noise]` of a run's configuration has it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct NoiseFound {
+    /// Standard deviation of x and of y.
+    pub position_sd_m: f64,
+    /// Half the width of the heading's triangular distribution that has the standard deviation which was found.
+    pub heading_half_width_rad: f64,
+}
+
+/// What drives tell of a car.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Identification {
+    /// Key by key.
+    pub rows: Vec<Row>,
+    /// Dead time and lag of the steering together, which a drive tells better than the two apart.
+    pub delay_and_lag: Row,
+    /// Predictions over 1 s and 3 s, each of a part of the drive by a fit of the rest.
+    pub predictions: Vec<Prediction>,
+    /// Noise of the odometry.
+    pub noise: NoiseFound,
+    /// How many times too large the measured speed is, against the poses.
+    pub speed_scale: f64,
+    /// Seconds in which the car moved, of what was fitted.
+    pub moving_s: f64,
+    /// Seconds of the recording, and how many of them were fitted: of long ones, those with the most steering.
+    pub recorded_s: f64,
+    /// See `recorded_s`.
+    pub fitted_s: f64,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+    /// What to drive so that more keys show.
+    pub drive_next: Vec<String>,
+    /// The vehicle with the values that were identified.
+    #[serde(skip)]
+    pub vehicle: Vehicle,
+}
+
+impl Identification {
+    /// Whether the new values predict better than the file's, over 1 s as well as over 3 s.
+    pub fn is_better(&self) -> bool {
+        self.predictions.iter().all(Prediction::is_better)
+    }
+}
+
+/// A car has to move for so long.
+const SHORTEST_S: f64 = 20.0;
+/// Yaw rate and command must go together this well.
+const FOLLOWS: f64 = 0.5;
+/// No more than this is fitted.
+const LONGEST_S: f64 = 150.0;
+/// How far ahead is predicted.
+const HORIZONS_S: [f64; 2] = [1.0, 3.0];
+/// Above this share, the measured speed is called wrong.
+const SCALE_SHARE: f64 = 0.01;
+
+/// Identifies a car from drives in it.
+///
+/// # Errors
+/// If the drives cannot tell it: they are too short, the car did not follow the commands or turned the wrong way, or the
+/// odometry was computed from the commands.
+pub fn identify(
+    drives: &[Drive],
+    vehicle: &Vehicle,
+    options: Options,
+) -> Result<Identification, Refusal> {
+    let whole: Vec<Stretch> = drives.iter().flat_map(stretches).collect();
+    let length_s = |all: &[Stretch]| all.iter().map(|it| it.tick_s * it.len() as f64).sum::<f64>();
+    let recorded_s = length_s(&whole);
+    let chosen = choose(whole, LONGEST_S);
+    let moving_s: f64 = chosen.iter().map(Stretch::moving_s).sum();
+    if moving_s < SHORTEST_S {
+        return Err(Refusal::TooShort { moving_s, needed_s: SHORTEST_S });
+    }
+    match computed(&chosen) {
+        Some(Computed::Zero) => return Err(Refusal::NoYawRate),
+        Some(Computed::FromCommand { wheelbase_m }) if !options.is_simulated => {
+            return Err(Refusal::Computed { wheelbase_m });
+        }
+        _ => {}
+    }
+    let correlation = follows(&chosen);
+    if correlation < -FOLLOWS {
+        return Err(Refusal::WrongWay);
+    }
+    if correlation < FOLLOWS {
+        return Err(Refusal::DoesNotFollow { correlation });
+    }
+    let point_m = match options.point {
+        Point::Tracked => vehicle.tracked_point_m,
+        Point::Odometry => vehicle.ros2.odometry_point_m,
+    };
+    let undetermined = || Refusal::Undetermined;
+    let measured = options.wheelbase_is_measured;
+    let limits = limits_of_steering(vehicle);
+    let of_steering =
+        fit_steering(&chosen, vehicle, point_m, measured, &limits).ok_or_else(undetermined)?;
+    let steered = steering::to_vehicle(&of_steering.at, vehicle);
+    let of_speed = fit_speed(&chosen, &steered, &limits_of_speed).ok_or_else(undetermined)?;
+
+    let mut rows = steering_rows(&of_steering, vehicle, point_m, options);
+    rows.extend(speed_rows(&of_speed, vehicle));
+    let new = apply(vehicle, &rows, options);
+
+    let predictions = predict(&chosen, vehicle, options, &of_speed, &of_steering);
+    let noise = NoiseFound {
+        position_sd_m: of_steering.weights.spreads[POSITION],
+        // A triangular distribution of half width h has a standard deviation of h/√6.
+        heading_half_width_rad: 6.0_f64.sqrt() * of_steering.weights.spreads[HEADING],
+    };
+    let fitted_s = length_s(&chosen);
+    let mut found = Identification {
+        delay_and_lag: delay_and_lag(&of_steering, vehicle),
+        predictions,
+        noise,
+        speed_scale: libm::exp(-of_steering.at[steering::SCALE]),
+        moving_s,
+        recorded_s,
+        fitted_s,
+        warnings: Vec::new(),
+        drive_next: Vec::new(),
+        vehicle: new,
+        rows,
+    };
+    found.warnings = warnings(&found, &chosen, &of_steering, &of_speed);
+    for row in found.rows.iter().filter(|row| !row.identified) {
+        if let Some(next) = row.drive_next()
+            && !found.drive_next.iter().any(|it| it == next)
+        {
+            found.drive_next.push(next.to_owned());
+        }
+    }
+    Ok(found)
+}
+
+/// Fits parts of the drive, and predicts the rest.
+fn predict(
+    stretches: &[Stretch],
+    vehicle: &Vehicle,
+    options: Options,
+    of_speed: &Fitted,
+    of_steering: &Fitted,
+) -> Vec<Prediction> {
+    let point_of = |of: &Vehicle| match options.point {
+        Point::Tracked => of.tracked_point_m,
+        Point::Odometry => of.ros2.odometry_point_m,
+    };
+    let point_m = point_of(vehicle);
+    let steered = steering::to_vehicle(&of_steering.at, vehicle);
+    let part = |fitted: &Fitted, at: Vec<f64>| Fitted { at, ..fitted.clone() };
+    let mut pairs = HORIZONS_S.map(|_| Vec::new());
+    for fold in 0..FOLDS {
+        let counts = |block: usize| !is_held_out(block, fold);
+        let speed_at = refit(Speed::new(stretches, &steered), of_speed, &counts);
+        let measured = options.wheelbase_is_measured;
+        let joint = Steering::new(stretches, vehicle, point_m, measured, true);
+        let steering_at = refit(joint, of_steering, &counts);
+        let mut rows = steering_rows(&part(of_steering, steering_at), vehicle, point_m, options);
+        rows.extend(speed_rows(&part(of_speed, speed_at), vehicle));
+        let new = apply(vehicle, &rows, options);
+        let (before, after) =
+            (Car { vehicle, point_m }, Car { vehicle: &new, point_m: point_of(&new) });
+        for (over_s, pairs) in HORIZONS_S.into_iter().zip(&mut pairs) {
+            pairs.extend(prediction::pairs(stretches, before, after, over_s, fold));
+        }
+    }
+    let sum_up = |(over_s, pairs): (f64, Vec<_>)| prediction::sum_up(&pairs, over_s);
+    HORIZONS_S.into_iter().zip(pairs).map(sum_up).collect()
+}
+
+/// The vehicle with the values of the rows.
+fn apply(vehicle: &Vehicle, rows: &[Row], options: Options) -> Vehicle {
+    let mut new = vehicle.clone();
+    for row in rows.iter().filter(|row| row.identified) {
+        let slot = match row.key {
+            "wheelbase_m" => &mut new.wheelbase_m,
+            "steering_delay_s" => &mut new.steering_delay_s,
+            "steering_lag_s" => &mut new.steering_lag_s,
+            "steering_rate_radps" => &mut new.steering_rate_radps,
+            "steering_offset_rad" => &mut new.steering_offset_rad,
+            "steering_gain" => &mut new.steering_gain,
+            "speed_delay_s" => &mut new.speed_delay_s,
+            "speed_kp" => &mut new.speed_kp,
+            "speed_ki" => &mut new.speed_ki,
+            "throttle_accel_mps2" => &mut new.throttle_accel_mps2,
+            "brake_decel_mps2" => &mut new.brake_decel_mps2,
+            "pedal_lag_s" => &mut new.pedal_lag_s,
+            "drag_per_s" => &mut new.drag_per_s,
+            "rolling_decel_mps2" => &mut new.rolling_decel_mps2,
+            _ => match options.point {
+                Point::Tracked => &mut new.tracked_point_m,
+                Point::Odometry => &mut new.ros2.odometry_point_m,
+            },
+        };
+        *slot = row.after;
+    }
+    new
+}
+
+fn warnings(
+    found: &Identification,
+    stretches: &[Stretch],
+    of_steering: &Fitted,
+    of_speed: &Fitted,
+) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let half = of_steering.half(&[(steering::SCALE, 1.0)]);
+    let share = found.speed_scale - 1.0;
+    if share.abs() > SCALE_SHARE && share.abs() > half {
+        let (percent, word) = (100.0 * share.abs(), if share > 0.0 { "more" } else { "less" });
+        warnings.push(format!(
+            "the measured speed is {percent:.1} % {word} than the poses say: check the wheel's radius or the encoder's factor"
+        ));
+    }
+    for row in &found.rows {
+        if let Some(why) = row.why.as_deref().filter(|_| row.contradicted) {
+            warnings.push(format!("{}: {why}", row.key));
+        }
+    }
+    if found.fitted_s < 0.9 * found.recorded_s {
+        warnings.push(format!(
+            "{:.0} s of {:.0} s were fitted: those with the most steering and changes of speed",
+            found.fitted_s, found.recorded_s
+        ));
+    }
+    let third = |values: &[f64]| {
+        let differences = values.windows(4).map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
+        robust_sd(differences) / 20.0_f64.sqrt()
+    };
+    let noise_of = |of: fn(&Stretch) -> &Vec<f64>| {
+        stretches.iter().map(|it| third(of(it))).fold(0.0, f64::max)
+    };
+    let mut check = |what: &str, unit: &str, residual: f64, noise: f64, least: f64| {
+        if residual > 1.3 * noise && residual > least {
+            warnings.push(format!(
+                "the model leaves {residual:.2} {unit} of the {what}, the noise is {noise:.2} {unit}: this car does something \
+                 that the model has not; leave a margin when you tune for it"
+            ));
+        }
+    };
+    if stretches.iter().all(|it| it.yaw_rate_radps.iter().all(|rate| rate.is_finite())) {
+        let noise = noise_of(|it| &it.yaw_rate_radps);
+        check("yaw rate", "mrad/s", 1e3 * of_steering.weights.spreads[0], 1e3 * noise, 3.0);
+    }
+    let noise = noise_of(|it| &it.speed_mps);
+    check("speed", "cm/s", 1e2 * of_speed.weights.spreads[0], 1e2 * noise, 1.5);
+    warnings
+}

@@ -1,0 +1,66 @@
+//! Why drives cannot tell a car.
+
+use std::fmt;
+
+/// Why nothing was identified; displays as one line with the cause and the way out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Refusal {
+    /// The car moved for too short a time.
+    TooShort {
+        /// How long it moved.
+        moving_s: f64,
+        /// How long it has to.
+        needed_s: f64,
+    },
+    /// The yaw rate is computed from the command.
+    Computed {
+        /// The wheelbase in the formula.
+        wheelbase_m: f64,
+    },
+    /// The yaw rate is 0 while the car steers.
+    NoYawRate,
+    /// The car turns to the other side.
+    WrongWay,
+    /// The car does not follow the commands.
+    DoesNotFollow {
+        /// How well it does.
+        correlation: f64,
+    },
+    /// A key has no effect whatever.
+    Undetermined,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooShort { moving_s, needed_s } => write!(
+                f,
+                "the car moves for {moving_s:.1} s without a gap in the odometry, and {needed_s:.0} s are needed: record a longer drive"
+            ),
+            Self::Computed { wheelbase_m } => write!(
+                f,
+                "the odometry's yaw rate is v·tan(commanded steering)/{wheelbase_m:.3} m, computed and not measured, so it tells \
+                 nothing of the steering (vesc_to_odom does so unless use_servo_cmd_to_calc_angular_velocity is false): give an \
+                 IMU's yaw rate or a localised pose; for a simulation without lag and noise, add --simulated"
+            ),
+            Self::NoYawRate => f.write_str(
+                "the odometry's yaw rate is 0 while the car steers: its driver does not know the heading; give an IMU's yaw rate \
+                 or a localised pose",
+            ),
+            Self::WrongWay => f.write_str(
+                "the car turns to the right where the command says left: correct the sign of its steering first (ros2.steering_sign \
+                 of the vehicle's file, or the adapter)",
+            ),
+            Self::DoesNotFollow { correlation } => write!(
+                f,
+                "the car's yaw rate does not follow the commands (correlation {correlation:.2}): was it driven by hand, or does it \
+                 never steer in this drive?"
+            ),
+            Self::Undetermined => {
+                f.write_str("the drive does not determine the car: a key has no effect in it")
+            }
+        }
+    }
+}
+
+impl std::error::Error for Refusal {}

@@ -1,0 +1,250 @@
+//! Key by key: what a fit says of it, in the units of the file.
+
+use config::Vehicle;
+use serde::Serialize;
+
+use crate::fit::{Fitted, Told};
+use crate::identify::{Options, Point};
+use crate::{speed, steering};
+
+/// A key of a vehicle's file.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// Its name in the file.
+    pub key: &'static str,
+    /// The file's value.
+    pub before: f64,
+    /// The new value; the file's, if the drive does not tell it.
+    pub after: f64,
+    /// 95 % interval; `None` for what is not identified.
+    pub interval: Option<[f64; 2]>,
+    /// Whether the drive tells it.
+    pub identified: bool,
+    /// The drive tells only the product or the ratio with this key, which keeps its value.
+    pub only_with: Option<&'static str>,
+    /// Why it is not identified.
+    pub why: Option<String>,
+    /// It is not identified, but the file's value does not fit the drive.
+    pub contradicted: bool,
+}
+
+impl Row {
+    /// What to drive so that the key shows.
+    pub fn drive_next(&self) -> Option<&'static str> {
+        Some(match self.key {
+            "wheelbase_m" | "steering_gain" | "steering_offset_rad" => {
+                "bends to both sides at a steady speed, for 20 s"
+            }
+            "steering_delay_s" | "steering_lag_s" => {
+                "steering steps to both sides, or a steering sine that gets quicker"
+            }
+            "steering_rate_radps" => {
+                "large steering steps, at which the wheels turn as fast as they can"
+            }
+            "tracked_point_m" | "ros2.odometry_point_m" => "tight bends to both sides",
+            "speed_delay_s" | "speed_kp" | "speed_ki" | "pedal_lag_s" | "drag_per_s"
+            | "rolling_decel_mps2" => "steps of the commanded speed, up and down",
+            "throttle_accel_mps2" => "a step of the commanded speed that needs full throttle",
+            "brake_decel_mps2" => "a step down of the commanded speed that needs full brake",
+            _ => return None,
+        })
+    }
+}
+
+/// Half widths of the intervals of steering keys below which they are identified.
+pub(crate) fn limits_of_steering(vehicle: &Vehicle) -> impl Fn(usize, &[f64]) -> f64 + use<> {
+    let size = vehicle.wheelbase_m / 2.875;
+    move |index, at| match index {
+        steering::WHEELBASE | steering::GAIN => 0.05,
+        steering::DELAY => 0.03,
+        // A lag of some milliseconds need not be known to a quarter.
+        steering::LAG => 0.25_f64.max(0.01 / libm::exp(at[index])),
+        steering::RATE => 0.25,
+        steering::OFFSET => 0.01,
+        steering::POINT => 0.2 * size,
+        _ => f64::INFINITY,
+    }
+}
+
+/// Those of the speed loop's.
+pub(crate) fn limits_of_speed(index: usize, at: &[f64]) -> f64 {
+    match index {
+        speed::DELAY => 0.03,
+        speed::PEDAL_LAG => 0.25_f64.max(0.01 / libm::exp(at[index])),
+        _ => 0.25,
+    }
+}
+
+/// One key in the making: what it is made of in the coordinates of the fit.
+struct Key<'a> {
+    name: &'static str,
+    before: f64,
+    /// Parameters of which it is the sum, or the exponential of the sum.
+    of: &'a [usize],
+    is_log: bool,
+}
+
+fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
+    let told = fitted.told[key.of[0]];
+    let at: f64 = key.of.iter().map(|&index| fitted.at[index]).sum();
+    let factors: Vec<(usize, f64)> = key.of.iter().map(|&index| (index, 1.0)).collect();
+    let half = fitted.half(&factors);
+    let value = |at: f64| if key.is_log { libm::exp(at) } else { at };
+    let unidentified = |half: f64, contradicted: bool| {
+        let wide = match key.is_log {
+            true => format!("known to a factor of {:.2} only", libm::exp(half)),
+            false => format!("known to ± {half:.3} only"),
+        };
+        let why = match contradicted {
+            true => format!(
+                "{wide}; the file's {} does not fit the drive, which would rather have {:.3}",
+                key.before,
+                value(at)
+            ),
+            false => wide,
+        };
+        Row {
+            key: key.name,
+            before: key.before,
+            after: key.before,
+            interval: None,
+            identified: false,
+            only_with: None,
+            why: Some(why),
+            contradicted,
+        }
+    };
+    match told {
+        Told::TooWide { half } => unidentified(half, false),
+        Told::Contradicted { half } => unidentified(half, true),
+        Told::Held => Row { why: Some("not looked for".to_owned()), ..unidentified(0.0, false) },
+        Told::Identified => {
+            let interval = [value(at - half), value(at + half)];
+            Row {
+                key: key.name,
+                before: key.before,
+                after: rounded(value(at), 0.5 * (interval[1] - interval[0])),
+                interval: Some(interval),
+                identified: true,
+                only_with: None,
+                why: None,
+                contradicted: false,
+            }
+        }
+    }
+}
+
+/// A value without the digits that its interval makes meaningless: rounded to a hundredth of half the interval or less.
+fn rounded(value: f64, half: f64) -> f64 {
+    if !(half > 0.0 && half.is_finite()) {
+        return value;
+    }
+    let digits = (2.0 - libm::floor(libm::log10(half))).clamp(0.0, 12.0) as i32;
+    let factor = 10.0_f64.powi(digits);
+    (value * factor).round() / factor
+}
+
+/// The rows of steering, wheelbase and odometry's point.
+pub(crate) fn steering_rows(
+    fitted: &Fitted,
+    vehicle: &Vehicle,
+    point_m: f64,
+    options: Options,
+) -> Vec<Row> {
+    let point = match options.point {
+        Point::Tracked => "tracked_point_m",
+        Point::Odometry => "ros2.odometry_point_m",
+    };
+    let key = |name, before, of, is_log| row(fitted, &Key { name, before, of, is_log });
+    let wheelbase = match options.wheelbase_is_measured {
+        false => key("wheelbase_m", vehicle.wheelbase_m, &[steering::WHEELBASE], true),
+        true => key("steering_gain", vehicle.steering_gain, &[steering::GAIN], true),
+    };
+    let delay = Key {
+        name: "steering_delay_s",
+        before: vehicle.steering_delay_s,
+        of: &[steering::DELAY],
+        is_log: false,
+    };
+    let mut delay = row(fitted, &delay);
+    not_negative(&mut delay);
+    vec![
+        wheelbase,
+        delay,
+        key("steering_lag_s", vehicle.steering_lag_s, &[steering::LAG], true),
+        key("steering_rate_radps", vehicle.steering_rate_radps, &[steering::RATE], true),
+        key("steering_offset_rad", vehicle.steering_offset_rad, &[steering::OFFSET], false),
+        key(point, point_m, &[steering::POINT], false),
+    ]
+}
+
+fn not_negative(row: &mut Row) {
+    if let Some([low, _]) = &mut row.interval {
+        *low = low.max(0.0);
+    }
+}
+
+/// Dead time and lag of the steering together.
+pub(crate) fn delay_and_lag(fitted: &Fitted, vehicle: &Vehicle) -> Row {
+    let lag_s = libm::exp(fitted.at[steering::LAG]);
+    let half = fitted.half(&[(steering::DELAY, 1.0), (steering::LAG, lag_s)]);
+    let after = fitted.at[steering::DELAY] + lag_s;
+    Row {
+        key: "steering_delay_s + steering_lag_s",
+        before: vehicle.steering_delay_s + vehicle.steering_lag_s,
+        after: rounded(after, half),
+        interval: Some([(after - half).max(0.0), after + half]),
+        identified: true,
+        only_with: None,
+        why: None,
+        contradicted: false,
+    }
+}
+
+/// The rows of the speed loop.
+pub(crate) fn speed_rows(fitted: &Fitted, vehicle: &Vehicle) -> Vec<Row> {
+    use speed::{BRAKE, DELAY, DRAG, KI, KP, PEDAL_LAG, ROLLING, THROTTLE};
+    let throttle = row(
+        fitted,
+        &Key {
+            name: "throttle_accel_mps2",
+            before: vehicle.throttle_accel_mps2,
+            of: &[THROTTLE],
+            is_log: true,
+        },
+    );
+    let key = |name, before, index| row(fitted, &Key { name, before, of: &[index], is_log: true });
+    // A product with the throttle is divided by it again, with the uncertainty of both; or with the file's value.
+    let with_throttle = |name, before, index: usize, sign: f64| {
+        let mut one = key(name, before, index);
+        if !one.identified {
+            return one;
+        }
+        let scale =
+            if throttle.identified { fitted.at[THROTTLE] } else { fitted.axes[THROTTLE].prior };
+        let half = match throttle.identified {
+            true => fitted.half(&[(index, 1.0), (THROTTLE, sign)]),
+            false => fitted.half(&[(index, 1.0)]),
+        };
+        let at = fitted.at[index] + sign * scale;
+        let interval = [libm::exp(at - half), libm::exp(at + half)];
+        one.after = rounded(libm::exp(at), 0.5 * (interval[1] - interval[0]));
+        one.interval = Some(interval);
+        one.only_with = (!throttle.identified).then_some("throttle_accel_mps2");
+        one
+    };
+    let delay =
+        Key { name: "speed_delay_s", before: vehicle.speed_delay_s, of: &[DELAY], is_log: false };
+    let mut delay = row(fitted, &delay);
+    not_negative(&mut delay);
+    vec![
+        delay,
+        with_throttle("speed_kp", vehicle.speed_kp, KP, -1.0),
+        with_throttle("speed_ki", vehicle.speed_ki, KI, -1.0),
+        with_throttle("brake_decel_mps2", vehicle.brake_decel_mps2, BRAKE, 1.0),
+        key("pedal_lag_s", vehicle.pedal_lag_s, PEDAL_LAG),
+        key("drag_per_s", vehicle.drag_per_s, DRAG),
+        key("rolling_decel_mps2", vehicle.rolling_decel_mps2, ROLLING),
+        throttle,
+    ]
+}

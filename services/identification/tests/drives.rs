@@ -1,0 +1,141 @@
+//! Drives that tell less than they seem to, or nothing.
+#![allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "a test")]
+
+mod support;
+
+use config::Vehicle;
+use identification::{Drive, EXCITATION_S, Options, Refusal, excitation, identify};
+use support::{Dice, SENSORS, Sensors, drive, excite, hidden_car};
+
+const EXACT: Sensors =
+    Sensors { position_sd_m: 0.0, heading_sd_rad: 0.0, speed_sd_mps: 0.0, yaw_rate_sd_radps: 0.0 };
+
+fn car() -> (Vehicle, Vehicle, Dice) {
+    let mut dice = Dice::new(7);
+    let (car, file) = hidden_car(&mut dice);
+    (car, file, dice)
+}
+
+fn refusal(drive: Drive, file: &Vehicle) -> Refusal {
+    identify(&[drive], file, Options::default()).unwrap_err()
+}
+
+#[test]
+fn odometry_that_is_computed_from_the_command_is_refused() {
+    let (car, file, mut dice) = car();
+    let mut computed = excite(&car, &SENSORS, &mut dice);
+    let mut yaw_rad = 0.0;
+    for at in 1..computed.odometry.len() {
+        // A tick late, rounded as in a text, and some commands another tick late: as drivers do it.
+        let late = at.saturating_sub(1 + usize::from(at % 3 == 0));
+        let command = computed.commands[late].steering_rad;
+        let seen = &mut computed.odometry[at];
+        let rate = seen.speed_mps * libm::tan(command) / 0.25;
+        seen.yaw_rate_radps = (1e5 * rate).round() / 1e5;
+        yaw_rad += 0.01 * rate;
+        seen.yaw_rad = yaw_rad;
+    }
+    match refusal(computed.clone(), &file) {
+        Refusal::Computed { wheelbase_m } => assert!((wheelbase_m - 0.25).abs() < 1e-3),
+        other => panic!("{other}"),
+    }
+    // The heading tells the same, where there is no yaw rate.
+    for seen in &mut computed.odometry {
+        seen.yaw_rate_radps = f64::NAN;
+    }
+    assert!(matches!(refusal(computed.clone(), &file), Refusal::Computed { .. }));
+    for seen in &mut computed.odometry {
+        (seen.yaw_rate_radps, seen.yaw_rad) = (0.0, 0.0);
+    }
+    assert_eq!(refusal(computed, &file), Refusal::NoYawRate);
+}
+
+#[test]
+fn a_car_without_noise_is_not_taken_for_a_formula_if_its_steering_is_one_of_a_car() {
+    let (car, file, mut dice) = car();
+    let found = identify(&[excite(&car, &EXACT, &mut dice)], &file, Options::default()).unwrap();
+    assert!((found.vehicle.wheelbase_m / car.wheelbase_m - 1.0).abs() < 1e-3);
+    assert!((found.vehicle.steering_delay_s - car.steering_delay_s).abs() < 2e-3);
+    assert!(found.is_better());
+}
+
+#[test]
+fn a_car_that_turns_the_wrong_way_or_as_it_likes_is_refused() {
+    let (car, file, mut dice) = car();
+    let driven = excite(&car, &SENSORS, &mut dice);
+    let mut wrong = driven.clone();
+    wrong.commands.iter_mut().for_each(|it| it.steering_rad = -it.steering_rad);
+    assert_eq!(refusal(wrong, &file), Refusal::WrongWay);
+    let mut by_hand = driven.clone();
+    by_hand.commands.iter_mut().for_each(|it| it.steering_rad = 0.01 * dice.normal());
+    assert!(matches!(refusal(by_hand, &file), Refusal::DoesNotFollow { .. }));
+    let mut short = driven;
+    short.odometry.truncate(1500);
+    assert!(matches!(refusal(short, &file), Refusal::TooShort { .. }));
+    assert!(matches!(refusal(Drive::default(), &file), Refusal::TooShort { .. }));
+}
+
+#[test]
+fn outliers_late_samples_a_wrong_wheel_and_a_biased_gyro_do_not_mislead() {
+    let (car, file, mut dice) = car();
+    let mut driven = excite(&car, &SENSORS, &mut dice);
+    for seen in &mut driven.odometry {
+        if dice.uniform(0.0, 1.0) < 0.05 {
+            seen.x_m += 2.0 * dice.normal();
+            seen.yaw_rate_radps += dice.normal();
+        }
+        seen.speed_mps *= 1.03;
+        seen.yaw_rate_radps += 0.004;
+    }
+    let found = identify(&[driven], &file, Options::default()).unwrap();
+    assert!((found.vehicle.wheelbase_m / car.wheelbase_m - 1.0).abs() < 0.006);
+    assert!((found.speed_scale - 1.03).abs() < 0.002, "{}", found.speed_scale);
+    assert!(found.warnings.iter().any(|it| it.contains("3.0 % more")), "{:?}", found.warnings);
+    let sum_s = car.steering_delay_s + car.steering_lag_s;
+    assert!((found.delay_and_lag.after - sum_s).abs() < 0.006);
+}
+
+#[test]
+fn what_is_missing_is_named() {
+    // Straight on and gentle bends at one speed: neither rates nor pedals come to their ends.
+    let (car, file, mut dice) = car();
+    let gentle = |time_s: f64| match time_s {
+        ..1.0 => (0.0, 0.0),
+        _ => (0.04 * libm::sin(0.5 * time_s), 1.5),
+    };
+    let found =
+        identify(&[drive(&car, 60.0, &SENSORS, &mut dice, gentle)], &file, Options::default());
+    let found = found.unwrap();
+    for key in ["steering_rate_radps", "brake_decel_mps2"] {
+        let row = found.rows.iter().find(|row| row.key == key).unwrap();
+        assert!(!row.identified && row.before.to_bits() == row.after.to_bits(), "{row:?}");
+        let next = row.drive_next().unwrap();
+        assert!(found.drive_next.iter().any(|it| it == next));
+    }
+}
+
+#[test]
+fn a_measured_wheelbase_gives_the_gain_in_its_place() {
+    let (mut car, mut file, mut dice) = car();
+    car.steering_gain = 0.9;
+    file.wheelbase_m = car.wheelbase_m;
+    let driven = excite(&car, &SENSORS, &mut dice);
+    let options = Options { wheelbase_is_measured: true, ..Options::default() };
+    let found = identify(&[driven], &file, options).unwrap();
+    assert_eq!(found.vehicle.wheelbase_m.to_bits(), car.wheelbase_m.to_bits());
+    assert!((found.vehicle.steering_gain - 0.9).abs() < 0.005, "{}", found.vehicle.steering_gain);
+}
+
+#[test]
+fn of_a_long_recording_some_minutes_are_fitted_and_it_repeats_bit_for_bit() {
+    let (car, file, mut dice) = car();
+    let lively = |time_s: f64| match time_s % 150.0 {
+        ..EXCITATION_S => excitation(time_s % 150.0, 1.0, 1.0),
+        _ => (0.0, 2.0),
+    };
+    let long = [drive(&car, 300.0, &SENSORS, &mut dice, lively)];
+    let found = identify(&long, &file, Options::default()).unwrap();
+    assert!(found.fitted_s <= 150.0 && found.recorded_s > 290.0, "{}", found.fitted_s);
+    assert!((found.vehicle.wheelbase_m / car.wheelbase_m - 1.0).abs() < 0.01);
+    assert_eq!(found, identify(&long, &file, Options::default()).unwrap());
+}
