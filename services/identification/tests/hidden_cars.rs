@@ -16,7 +16,10 @@ struct Reading {
     covered: bool,
 }
 
-const KEYS: [(&str, &str, fn(&Vehicle) -> f64, bool); 14] = [
+/// Name, unit of its error, how to read it, and whether its error is relative.
+type Key = (&'static str, &'static str, fn(&Vehicle) -> f64, bool);
+
+const KEYS: [Key; 14] = [
     ("wheelbase_m", "%", |it| it.wheelbase_m, true),
     ("steering_delay_s", "ms", |it| it.steering_delay_s, false),
     ("steering_lag_s", "%", |it| it.steering_lag_s, true),
