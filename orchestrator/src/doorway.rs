@@ -15,6 +15,7 @@ use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
 use crate::runs::folder::refuse_earlier_run;
 use crate::runs::result::name_files;
+use crate::study::sweep;
 use crate::words::{Failure, print_failure, print_line, print_usage_error};
 
 /// What the binary hands in: the parts that link services, which this library does not.
@@ -90,6 +91,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Drive(args) => commands::drive(&args, services).and_then(draw),
         Command::Rearm { run, vehicle } => commands::rearm(run.name(), vehicle),
         Command::Grid(args) => commands::grid(&args, services).and_then(draw),
+        Command::Sweep(command) => sweep(&command, services),
         Command::Report { run } => report(&run, tools),
         Command::Record(args) => (tools.record)(&args),
         Command::Replay(args) => return (tools.replay)(&args, services),

@@ -9,6 +9,7 @@
 //! - [`cli`]: the command line as types.
 //! - [`commands`]: what each command does, from its options to what it prints.
 //! - `conformance` and [`bench`](mod@bench): the two commands that are longer than a page.
+//! - `study`: many trainings, on one machine or many: `pathtune sweep`.
 //! - [`runs`]: what a run needs in addition to its pipeline: checks, folder, result, and how other terminals find it.
 //! - [`pipeline`]: the processes of one run and the loop that joins them. [`pipeline::sequencer`] and
 //!   [`pipeline::restart`] decide, and are pure; [`pipeline::process`] and `pipeline::main_loop` act.
@@ -25,6 +26,7 @@ mod conformance;
 mod doorway;
 pub mod pipeline;
 pub mod runs;
+mod study;
 pub mod words;
 
 pub use doorway::{House, Tools, run};

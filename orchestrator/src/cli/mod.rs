@@ -1,5 +1,6 @@
 //! The command line.
 
+mod sweep;
 mod time;
 
 use std::net::SocketAddr;
@@ -8,6 +9,8 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::StartAt;
+
+pub use sweep::{RunJobsArgs, StudyArg, SweepCommand};
 
 /// Tunes a path-tracking controller by reinforcement learning, in separate processes that communicate over shared
 /// memory.
@@ -39,6 +42,9 @@ pub enum Command {
     },
     /// Drive every gain set of the grid, and report the best, how flat the optimum is, and which gain matters
     Grid(Box<GridArgs>),
+    /// Run a study of many trainings, on this machine or with the engine of a cluster
+    #[command(subcommand)]
+    Sweep(SweepCommand),
     /// Draw a report of a run: one HTML page, and its pictures as SVG files
     Report {
         /// The run's folder

@@ -18,4 +18,4 @@ pub(crate) use housekeeping::{clean, doctor, logs, status, stop};
 pub(crate) use presets::{print_schema, show_config};
 pub(crate) use rearm::rearm;
 pub(crate) use sweep::{grid, validate};
-pub(crate) use train::train;
+pub(crate) use train::{resolve_training, train, train_silently};

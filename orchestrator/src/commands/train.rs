@@ -4,14 +4,15 @@ use std::path::Path;
 
 use config::launch::Launch;
 use config::{RunConfig, SweepPlan};
+use outcome::RunResult;
 
 use crate::cli::TrainArgs;
 use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
 use crate::runs::folder::of_earlier_start;
-use crate::runs::result::conclude;
-use crate::runs::running::run_or_unmake;
-use crate::runs::setup::{self, Folder};
+use crate::runs::result::{conclude, write_result};
+use crate::runs::running::{RunFacts, run_or_unmake};
+use crate::runs::setup::{self, Folder, Ready};
 use crate::words::Failure;
 
 /// Runs a training to its end, or resumes one that was interrupted.
@@ -19,11 +20,26 @@ use crate::words::Failure;
 /// # Errors
 /// On a user's mistake, before anything is started; if the pipeline cannot be kept alive.
 pub(crate) fn train(args: &TrainArgs, services: Services) -> Result<EndedRun, Failure> {
+    let (ready, facts) = run_training(args, services)?;
+    conclude(&ready.plan, &facts, args.setup.json)
+}
+
+/// The same without a word on standard output, and without a report.
+///
+/// # Errors
+/// As [`train`].
+pub(crate) fn train_silently(args: &TrainArgs, services: Services) -> Result<RunResult, Failure> {
+    let (ready, facts) = run_training(args, services)?;
+    write_result(&ready.plan, &facts)
+}
+
+/// Runs a training to its end. While the first of the two is held, its folder is locked.
+fn run_training(args: &TrainArgs, services: Services) -> Result<(Ready, RunFacts), Failure> {
     let (config, launch) = match &args.resume {
         Some(folder) => resolved_before(folder, services)?,
         None => {
             let launch = setup::launch(&args.setup, services, None)?;
-            (resolve_config(args, &launch)?, launch)
+            (resolve_training(args, &launch)?, launch)
         }
     };
     let name = config.maneuver.clone();
@@ -41,7 +57,7 @@ pub(crate) fn train(args: &TrainArgs, services: Services) -> Result<EndedRun, Fa
         let way_on = format!("go on with: pathtune train --resume {folder}");
         return Err(Failure::Interrupted(signal, way_on));
     }
-    conclude(&ready.plan, &facts, args.setup.json)
+    Ok((ready, facts))
 }
 
 /// The configuration and processes of a training that was interrupted.
@@ -55,7 +71,11 @@ fn resolved_before(folder: &Path, services: Services) -> Result<(RunConfig, Laun
     Ok((config, launch))
 }
 
-fn resolve_config(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failure> {
+/// The configuration of a training, from its options.
+///
+/// # Errors
+/// On a user's mistake.
+pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failure> {
     let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, args.tuner.as_deref())?;
     if let Some(alphas) = &args.alphas {
         layers.put("--alphas", "run.alphas", alphas.clone())?;

@@ -87,6 +87,16 @@ impl CoreClaim {
     }
 }
 
+/// The cores that this process may use, those first that no pipeline on this machine has claimed; with each, whether it is
+/// one of these.
+pub(crate) fn free_first() -> Vec<(usize, bool)> {
+    // Claims end with this call: whoever is to run there makes its own.
+    let mut cores: Vec<(usize, bool)> =
+        allowed_cores().into_iter().map(|core| (core, claim("core", core).is_some())).collect();
+    cores.sort_by_key(|(_, is_free)| !is_free);
+    cores
+}
+
 /// Claims a core for this user's runs, if none of them has claimed it.
 ///
 /// Any user can take any name. So a name that somebody else has taken says nothing, and the next one counts.

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use config::RunConfig;
 use config::launch::Launch;
-use config::open_regular;
+use config::{open_regular, read_small};
 use runtime::{limits, log_file, waiting};
 use rustix::mm::munlockall;
 
@@ -151,6 +151,40 @@ pub(crate) fn check_resources(max_len: usize) -> Result<(), Failure> {
     let advice = "take a smaller --fleet";
     check_limits()?;
     check_shared_memory(&format!("a run with {max_len} vehicles"), needed_bytes(max_len), advice)
+}
+
+/// The same for as many pipelines at once, their main memory included.
+pub(crate) fn check_resources_of_pipelines(count: usize, max_len: usize) -> Result<(), Failure> {
+    let who = format!("{count} jobs at once");
+    check_limits()?;
+    check_shared_memory(&who, count as u64 * needed_bytes(max_len), "take a smaller -j")?;
+    let needed = count as u64 * PIPELINE_BYTES;
+    match free_memory() {
+        Some(free) if free < needed => Err(Failure::User(format!(
+            "memory is short: {who} need {} MiB, and {} MiB are free; end other programs, or take a smaller -j",
+            needed.div_ceil(1 << 20),
+            free >> 20,
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Main memory that a pipeline and its orchestrator use besides shared memory: twice what was found.
+const PIPELINE_BYTES: u64 = 128 << 20;
+
+/// Bytes of main memory that programs may still take, as far as this machine tells: those of the system, or of the control
+/// group if these are fewer.
+fn free_memory() -> Option<u64> {
+    let number = |text: String| text.trim().parse::<u64>().ok();
+    let of_group =
+        |name: &str| read_small(&Path::new("/sys/fs/cgroup").join(name)).ok().and_then(number);
+    let group = of_group("memory.max")
+        .zip(of_group("memory.current"))
+        .map(|(most, taken)| most.saturating_sub(taken));
+    let text = fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let machine = number(line.trim_end_matches("kB").to_owned())?.saturating_mul(1 << 10);
+    Some(group.map_or(machine, |group| group.min(machine)))
 }
 
 /// The same for an observer of a run. What it lacks, the run's own processes would lack, too, when they connect to it.

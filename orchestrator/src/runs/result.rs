@@ -88,7 +88,7 @@ fn tell_losses(result: &RunResult, is_recorded: bool) {
 
 /// Joins the outcome with what only the orchestrator knows, and writes `result.json`, by rename, so that nobody reads
 /// half of it.
-fn write_result(plan: &Plan, facts: &RunFacts) -> Result<RunResult, Failure> {
+pub(crate) fn write_result(plan: &Plan, facts: &RunFacts) -> Result<RunResult, Failure> {
     let Plan { folder, config, .. } = plan;
     let decided = read_decided(folder).map_err(anyhow::Error::from)?;
     let stopped_after = facts.pipeline.stopped_by.map(|_| driven_so_far(&decided.outcome, plan));

@@ -11,6 +11,8 @@ pub enum Failure {
     User(String),
     /// The pipeline could not be kept alive. Exit code 70.
     GaveUp(String),
+    /// A job of a study failed for a reason that may pass. Exit code 75.
+    TryAgain(String),
     /// A signal asked the run to stop; what it left and how to go on. Exit code 128 + the signal's number.
     Interrupted(i32, String),
     /// Anything else. Exit code 1.
@@ -24,6 +26,7 @@ impl Failure {
             Failure::NotArrived(_) => 2,
             Failure::User(_) => 64,
             Failure::GaveUp(_) => 70,
+            Failure::TryAgain(_) => 75,
             Failure::Interrupted(signal, _) => 128 + *signal as u8,
             Failure::Other(_) => 1,
         }
@@ -33,9 +36,22 @@ impl Failure {
     pub fn message(&self) -> String {
         match self {
             Failure::NotArrived(why) => format!("the drive did not arrive: {why}"),
-            Failure::User(message) | Failure::GaveUp(message) => message.clone(),
+            Failure::User(message) | Failure::GaveUp(message) | Failure::TryAgain(message) => {
+                message.clone()
+            }
             Failure::Interrupted(_, left) => format!("interrupted; {left}"),
             Failure::Other(error) => format!("{error:#}"),
+        }
+    }
+}
+
+impl Failure {
+    /// The same with other words, if it is a user's mistake or may pass.
+    pub(crate) fn with(self, words: impl FnOnce(String) -> String) -> Self {
+        match self {
+            Failure::User(message) => Failure::User(words(message)),
+            Failure::TryAgain(message) => Failure::TryAgain(words(message)),
+            other => other,
         }
     }
 }
