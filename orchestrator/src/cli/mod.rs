@@ -10,7 +10,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::StartAt;
 
-pub use sweep::{RunJobsArgs, StudyArg, SweepCommand};
+pub use sweep::{EngineArgs, KubernetesArgs, RunJobsArgs, SlurmArgs, StudyArg, SweepCommand};
 
 /// Tunes a path-tracking controller by reinforcement learning, in separate processes that communicate over shared
 /// memory.

@@ -32,6 +32,12 @@ pub enum SweepCommand {
     },
     /// Run one job, or all that are not done; exit code 0: done, 64: wrong input, trying again is useless, 75: try again
     Run(RunJobsArgs),
+    /// Print a script that runs the jobs as a job array of Slurm
+    Slurm(SlurmArgs),
+    /// Print a script that runs the jobs by GNU parallel
+    Parallel(EngineArgs),
+    /// Print a manifest that runs the jobs as an indexed Job of Kubernetes
+    Kubernetes(KubernetesArgs),
     /// Say how many jobs are done, which are missing, and why others failed
     Status {
         /// Where the study is.
@@ -97,4 +103,56 @@ pub struct RunJobsArgs {
     /// The process that started this one, as one of several: this one ends in order when it dies.
     #[arg(long, hide = true, conflicts_with = "all")]
     pub under: Option<i32>,
+}
+
+/// Options of every script for another engine.
+#[derive(Debug, Args)]
+pub struct EngineArgs {
+    /// Where the study is.
+    #[command(flatten)]
+    pub at: StudyArg,
+    /// Folder on a local disk for what a job writes while it runs [default: one in $TMPDIR or /tmp]
+    #[arg(long, value_name = "DIR")]
+    pub scratch: Option<PathBuf>,
+    /// The program, as the machines that run the jobs find it [default: this one]
+    #[arg(long, value_name = "FILE")]
+    pub program: Option<PathBuf>,
+}
+
+/// Options of `sweep slurm`.
+#[derive(Debug, Args)]
+pub struct SlurmArgs {
+    /// Those of every script.
+    #[command(flatten)]
+    pub engine: EngineArgs,
+    /// The most tasks of the array; with more jobs than these, each task runs several (MaxArraySize of slurm.conf is the
+    /// limit, usually 1001)
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
+    pub tasks: u32,
+    /// How often a task is started in all
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub tries: u32,
+}
+
+/// Options of `sweep kubernetes`.
+#[derive(Debug, Args)]
+pub struct KubernetesArgs {
+    /// Those of every script.
+    #[command(flatten)]
+    pub engine: EngineArgs,
+    /// Image of a container with the program in its PATH
+    #[arg(long, value_name = "IMAGE", default_value = "pathtune:latest")]
+    pub image: String,
+    /// Claim of a volume that all pods may write, with the manifest and the files that it names
+    #[arg(long, value_name = "NAME", default_value = "pathtune-study")]
+    pub claim: String,
+    /// Where pods find this volume
+    #[arg(long, value_name = "DIR", default_value = "/study")]
+    pub mount: String,
+    /// The most pods at once
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
+    pub parallelism: u32,
+    /// How often a job is tried
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub tries: u32,
 }

@@ -69,7 +69,7 @@ pub(crate) fn run_all(args: &RunJobsArgs) -> Result<(), Failure> {
         damages.end()?;
         let count = failed.len();
         let way_on = "see `pathtune sweep status`";
-        return match failed.iter().any(|code| *code == WRONG_INPUT) {
+        return match failed.contains(&WRONG_INPUT) {
             true => Err(Failure::User(format!("{count} jobs have failed; {way_on}"))),
             false if count > 0 => {
                 Err(Failure::TryAgain(format!("{count} jobs have failed; {way_on}")))

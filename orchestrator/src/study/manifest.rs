@@ -237,7 +237,7 @@ mod tests {
     fn written(count: u64) -> (tempfile::TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("study.jsonl");
-        write(&path, |take| jobs(count).iter().try_for_each(|job| take(job))).unwrap();
+        write(&path, |take| jobs(count).iter().try_for_each(take)).unwrap();
         (folder, path)
     }
 

@@ -15,14 +15,15 @@ mod manifest;
 mod plan;
 mod progress;
 mod record;
+mod scripts;
 mod status;
 mod store;
 
 use crate::cli::SweepCommand;
 use crate::pipeline::services::Services;
 use crate::study::manifest::Manifest;
-use crate::words::Failure;
 use crate::words::terminal::say;
+use crate::words::{Failure, print_line};
 
 /// `pathtune sweep`.
 ///
@@ -50,6 +51,9 @@ pub(crate) fn sweep(command: &SweepCommand, services: Services) -> Result<(), Fa
             Some(index) => job::run_job(args, index, services),
             None => local::run_all(args),
         },
+        SweepCommand::Slurm(args) => print_line(scripts::slurm(args)?.trim_end()),
+        SweepCommand::Parallel(args) => print_line(scripts::parallel(args)?.trim_end()),
+        SweepCommand::Kubernetes(args) => print_line(scripts::kubernetes(args)?.trim_end()),
         SweepCommand::Status { at, json } => status::status(at, *json),
         SweepCommand::Collect { at, out } => collect::collect(at, out.as_deref()),
     }

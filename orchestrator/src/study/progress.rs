@@ -94,8 +94,8 @@ fn words(done: usize, before: usize, failed: usize, all: usize, seconds: f64) ->
 fn time(seconds: f64) -> String {
     let whole = seconds.round() as u64;
     match whole {
-        ..60 => format!("{whole} s"),
-        ..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
+        0..=59 => format!("{whole} s"),
+        60..=3599 => format!("{} min {:02} s", whole / 60, whole % 60),
         _ => format!("{} h {:02} min", whole / 3600, whole / 60 % 60),
     }
 }

@@ -32,8 +32,11 @@ impl Subject {
         let manifest = std::path::absolute(&args.at.manifest)?;
         let results = std::path::absolute(Store::of(&args.at).folder)?;
         let stem = manifest.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
-        let name: String =
-            stem.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(40).collect();
+        let name: String = stem
+            .chars()
+            .map(|c| if c.is_ascii_alphanumeric() { c } else { '-' })
+            .take(40)
+            .collect();
         Ok(Self { name: name.trim_matches('-').to_owned(), manifest, results, jobs })
     }
 }
@@ -59,10 +62,11 @@ pub(crate) fn slurm(args: &SlurmArgs) -> Result<String, Failure> {
     let last_task = tasks.saturating_sub(1);
     let last_job = jobs.saturating_sub(1);
     let tries = args.tries;
-    let scratch = args.engine.scratch.as_deref().map_or_else(
-        || "\"${TMPDIR:-/tmp}/pathtune-sweep-$(id -u)\"".to_owned(),
-        quoted,
-    );
+    let scratch = args
+        .engine
+        .scratch
+        .as_deref()
+        .map_or_else(|| "\"${TMPDIR:-/tmp}/pathtune-sweep-$(id -u)\"".to_owned(), quoted);
     let (manifest, results) = (quoted(&manifest), quoted(&results));
     Ok(format!(
         r#"#!/bin/bash
@@ -125,10 +129,10 @@ pub(crate) fn parallel(args: &EngineArgs) -> Result<String, Failure> {
     let Subject { name, manifest, results, jobs } = Subject::of(args)?;
     let program = program(args);
     let last_job = jobs.saturating_sub(1);
-    let scratch = args.scratch.as_deref().map_or_else(
-        || "\"${TMPDIR:-/tmp}/pathtune-sweep-$(id -u)\"".to_owned(),
-        quoted,
-    );
+    let scratch = args
+        .scratch
+        .as_deref()
+        .map_or_else(|| "\"${TMPDIR:-/tmp}/pathtune-sweep-$(id -u)\"".to_owned(), quoted);
     let log = quoted(&manifest.with_extension("joblog"));
     let (manifest, results) = (quoted(&manifest), quoted(&results));
     Ok(format!(
@@ -163,7 +167,8 @@ pub(crate) fn kubernetes(args: &KubernetesArgs) -> Result<String, Failure> {
     let Subject { name, jobs, .. } = Subject::of(&args.engine)?;
     let program = args.engine.program.as_deref().unwrap_or(Path::new("pathtune")).to_string_lossy();
     let mount = args.mount.trim_end_matches('/');
-    let file_name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let file_name =
+        |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let text = |text: &str| serde_json::to_string(text).expect("a text");
     let manifest = format!("{mount}/{}", file_name(&args.engine.at.manifest));
     let results = format!("{mount}/{}", file_name(&Store::of(&args.engine.at).folder));
