@@ -15,8 +15,22 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
 mod car;
+mod check;
+mod interior;
+mod joints;
 mod lateral;
+mod region;
+mod segment;
+mod simulated;
+mod small;
 mod spectrum;
+mod vertices;
 
 pub use car::{Car, Gains};
+pub use check::{Refusal, check};
+pub use joints::{Joint, Piece, joints};
 pub use lateral::{FRAGILE_BELOW_S, LateralLoop};
+pub use region::{Region, START};
+pub use segment::Equilibrium;
+pub use simulated::{STARTS, Simulated};
+pub use vertices::{HEADING_RAD, Intervals, State};

@@ -1,0 +1,159 @@
+//! Whether an ellipsoid is what it claims to be. Apart from the search that found it: from the numbers alone, with the
+//! rounding of this very check taken into account.
+//!
+//! V = xᵀ·P·x, E = {V ≤ 1}, and H·x stands for the wheels' turn where the limit ρ of their rate acts. For every vertex, with
+//! the matrix M of a tick for δ⁺ = F·x (no limit) and for δ⁺ = δ + H·x (limit), γ·P − Mᵀ·P·M must be positive definite: then
+//! V falls, also for every mixture of the two, as which each limited turn can be written while |H·x| ≤ ρ. And in E the
+//! steering stays within its limit, |H·x| within ρ, and the heading within [`HEADING_RAD`].
+//!
+//! A matrix counts as positive definite if its Cholesky factorisation succeeds after a bound of all rounding has been
+//! taken off its diagonal. The bound is the sum of the absolute values of all entries and of all that was added up to
+//! make them, times [`ROUNDING`]: each entry is a sum of at most 30 products, so the true error is below a fifth of it.
+
+use std::fmt;
+
+use crate::region::Region;
+use crate::small::{Square, cholesky, product, quadratic, transposed};
+use crate::vertices::{HEADING_RAD, State, Vertex, vertices};
+use crate::{Car, Equilibrium, Gains};
+
+/// By how much V falls in a tick, at least, as a share.
+pub(crate) const FALL: f64 = 1e-5;
+
+/// The rounding that an entry may have suffered, relative to what was added up to make it.
+const ROUNDING: f64 = 300.0 * f64::EPSILON;
+
+/// Why an ellipsoid is refused.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Refusal {
+    /// A number is not finite, or P is not symmetric.
+    NotAMatrix,
+    /// P is not positive definite.
+    NotAnEllipsoid,
+    /// The loop does not settle on this path at this speed as the region says.
+    OtherEquilibrium,
+    /// V may rise at this many of so many vertices.
+    Rises {
+        /// Vertices at which it may.
+        at: usize,
+        /// All vertices.
+        of: usize,
+    },
+    /// A state inside exceeds this limit.
+    Exceeds(&'static str),
+    /// The claimed extent lies outside.
+    TooFar,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::NotAMatrix => write!(f, "P and H are not finite, or P is not symmetric"),
+            Self::NotAnEllipsoid => write!(f, "P is not positive definite"),
+            Self::OtherEquilibrium => {
+                write!(f, "the loop does not settle where the certificate says")
+            }
+            Self::Rises { at, of } => write!(f, "V may rise at {at} of {of} vertices"),
+            Self::Exceeds(limit) => write!(f, "states inside exceed the limit of {limit}"),
+            Self::TooFar => write!(f, "the extent that is claimed lies outside of the ellipsoid"),
+        }
+    }
+}
+
+/// Verifies a region for a car and gains.
+///
+/// # Errors
+/// If anything that the region claims cannot be confirmed.
+pub fn check(car: &Car, gains: &Gains, region: &Region) -> Result<(), Refusal> {
+    let Region { equilibrium: at, intervals, p, held, extent } = region;
+    let is_symmetric = (0..4).all(|row| (0..4).all(|column| p[row][column] == p[column][row]));
+    let is_finite = p.iter().flatten().chain(held).all(|it| it.is_finite());
+    if !is_symmetric || !is_finite {
+        return Err(Refusal::NotAMatrix);
+    }
+    if !is_positive(p, p) {
+        return Err(Refusal::NotAnEllipsoid);
+    }
+    let settled = Equilibrium::new(car, gains, at.reference_mps, at.curvature);
+    if !settled.is_some_and(|it| it.is_near(at)) {
+        return Err(Refusal::OtherEquilibrium);
+    }
+    let vertices = vertices(car, gains, at, intervals);
+    let falls = |vertex: &&Vertex| {
+        let mut wheels = *held;
+        wheels[3] += 1.0;
+        falls(p, &vertex.matrix(&vertex.filter)) && falls(p, &vertex.matrix(&wheels))
+    };
+    let good = vertices.iter().filter(falls).count();
+    if good < vertices.len() {
+        return Err(Refusal::Rises { at: vertices.len() - good, of: vertices.len() });
+    }
+    let left_rad = car.steering_limit_rad - at.steering_rad.abs();
+    if left_rad <= 0.0 || !vertices.iter().all(|it| is_within(p, &it.filter, left_rad)) {
+        return Err(Refusal::Exceeds("the steering angle"));
+    }
+    if !is_within(p, held, car.steering_rate_radps * car.tick_s) {
+        return Err(Refusal::Exceeds("the steering rate"));
+    }
+    if !is_within(p, &[0.0, 1.0, 0.0, 0.0], HEADING_RAD) {
+        return Err(Refusal::Exceeds("the heading"));
+    }
+    let inside = |corner: &State| quadratic(p, corner) <= 1.0 + ROUNDING;
+    if !region.corners(car, *extent).iter().all(inside) {
+        return Err(Refusal::TooFar);
+    }
+    Ok(())
+}
+
+/// Whether V falls by its share at least in a tick with this matrix.
+fn falls(p: &Square<4>, matrix: &Square<4>) -> bool {
+    let magnitudes = |a: &Square<4>| a.map(|row| row.map(f64::abs));
+    let after = product(&product(&transposed(matrix), p), matrix);
+    let m = magnitudes(matrix);
+    let largest = product(&product(&transposed(&m), &magnitudes(p)), &m);
+    let mut left = [[0.0; 4]; 4];
+    let mut added = [[0.0; 4]; 4];
+    for row in 0..4 {
+        for column in 0..4 {
+            left[row][column] = (1.0 - FALL) * p[row][column] - after[row][column];
+            added[row][column] = p[row][column].abs() + largest[row][column];
+        }
+    }
+    is_positive(&left, &added)
+}
+
+/// Whether |f·x| ≤ `most` for all x in the ellipsoid: most²·P − fᵀ·f is positive definite.
+fn is_within(p: &Square<4>, f: &State, most: f64) -> bool {
+    let mut left = [[0.0; 4]; 4];
+    let mut added = [[0.0; 4]; 4];
+    for row in 0..4 {
+        for column in 0..4 {
+            left[row][column] = p[row][column] - f[row] / most * (f[column] / most);
+            added[row][column] = p[row][column].abs() + (f[row] / most * (f[column] / most)).abs();
+        }
+    }
+    is_positive(&left, &added)
+}
+
+/// Whether a matrix whose entries were added up of so much is certainly positive definite.
+///
+/// Both are first scaled by powers of 2, which is exact, so that the diagonal of what was added up is about 1: else the
+/// rounding of the largest entries would count for the smallest.
+fn is_positive(matrix: &Square<4>, added: &Square<4>) -> bool {
+    let scale: State = std::array::from_fn(|place| {
+        let half = libm::floor(0.5 * libm::log2(added[place][place].max(f64::MIN_POSITIVE)));
+        libm::exp2(-half)
+    });
+    let scaled = |a: &Square<4>| -> Square<4> {
+        std::array::from_fn(|row| {
+            std::array::from_fn(|column| a[row][column] * scale[row] * scale[column])
+        })
+    };
+    let mut matrix = scaled(matrix);
+    let bound = ROUNDING * scaled(added).iter().flatten().sum::<f64>();
+    for (place, row) in matrix.iter_mut().enumerate() {
+        row[place] -= bound;
+    }
+    // The lower triangle alone is read: the upper one is the same but for rounding.
+    cholesky(&matrix).is_some()
+}
