@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use orchestrator::House;
 
+mod certify;
 mod services;
 mod tools;
 

@@ -1,4 +1,4 @@
-//! Tools that are used alongside a pipeline: monitor, recorder, replay, report.
+//! Tools that are used alongside a pipeline: monitor, recorder, replay, report, certificate.
 
 use monitor::MonitorError;
 use orchestrator::cli::{MonitorArgs, RecordArgs, ReplayArgs};
@@ -12,6 +12,7 @@ pub(crate) const TOOLS: Tools = Tools {
     monitor: look,
     record,
     replay,
+    certify: crate::certify::certify,
 };
 
 /// Watches a living run.

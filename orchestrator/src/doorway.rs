@@ -8,7 +8,7 @@ use clap::error::ErrorKind;
 use runtime::limits;
 
 use crate::bench::bench;
-use crate::cli::{Cli, Command, MonitorArgs, RecordArgs, ReplayArgs};
+use crate::cli::{CertifyArgs, Cli, Command, MonitorArgs, RecordArgs, ReplayArgs};
 use crate::commands;
 use crate::conformance::conformance;
 use crate::pipeline::services::Services;
@@ -38,6 +38,8 @@ pub struct Tools {
     pub record: fn(&RecordArgs) -> Result<(), Failure>,
     /// Replays a recording; returns whether nothing differed.
     pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
+    /// Says what is certain of gains; returns whether what it was to verify holds.
+    pub certify: fn(&CertifyArgs) -> Result<bool, Failure>,
 }
 
 /// Does what the command line says.
@@ -95,6 +97,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Report { run } => report(&run, tools),
         Command::Record(args) => (tools.record)(&args),
         Command::Replay(args) => return (tools.replay)(&args, services),
+        Command::Certify(args) => return (tools.certify)(&args),
         Command::Bench(args) => bench(&args),
         Command::Monitor(args) => (tools.monitor)(args),
         Command::Status { run, json, iox2 } => commands::status(run.name(), json, iox2),

@@ -54,6 +54,8 @@ pub enum Command {
     Record(RecordArgs),
     /// Drive a recording again, and say where the answers differ from the recorded ones
     Replay(ReplayArgs),
+    /// Say what is certain of gains before they are driven: margins, regions of attraction, and how the path's joints look
+    Certify(Box<CertifyArgs>),
     /// Measure what a tick costs, compared with a bare ring that passes on the same bytes
     Bench(BenchArgs),
     /// Watch a living run: how long each hop takes, and how regular the ticks are
@@ -347,6 +349,64 @@ pub struct SetupArgs {
     /// Print result.json instead of the table
     #[arg(long)]
     pub json: bool,
+}
+
+/// Options of `certify`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  pathtune certify circuit --gains 3,21,21,0.7/3.4,21,1,0.84 --speeds 1.45,4
+  pathtune certify runs/mine --vehicle my_car.toml
+  pathtune certify lane_change --write lane_change.json
+  pathtune certify --check lane_change.json")]
+pub struct CertifyArgs {
+    /// The folder of a finished training, or a manoeuvre: lane_change, smooth_lane, roundabout or circuit; may be left out
+    /// with --path
+    #[arg(value_name = "RUN|MANEUVER")]
+    pub what: Option<String>,
+    /// The gains of the paper's law, Kv,Kl,Ks,Ki; for a path with several manoeuvres, one set for each, as in
+    /// 3,21,21,0.7/3.4,21,1,0.84 [default: those of the training; else those promoted to the vehicle, or the paper's]
+    #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
+    pub gains: Option<String>,
+    /// Use the gains that a training has found; for a path with several manoeuvres, give one training for each;
+    /// repeatable
+    #[arg(long, value_name = "RUN", conflicts_with = "gains")]
+    pub from: Vec<PathBuf>,
+    /// Speeds of the reference in m/s [default: that of the path]
+    #[arg(long, value_name = "V,W,…", value_delimiter = ',', value_parser = speed, allow_hyphen_values = true)]
+    pub speeds: Vec<f64>,
+    /// A path of your own, as for `drive`
+    #[arg(long, value_name = "FILE", conflicts_with = "what")]
+    pub path: Option<PathBuf>,
+    /// The vehicle: a preset, or a file that overrides keys of the default vehicle
+    #[arg(long, value_name = "NAME|FILE")]
+    pub vehicle: Option<String>,
+    /// The control law; there are certificates for the paper's alone
+    #[arg(long, value_name = "NAME|FILE")]
+    pub law: Option<String>,
+    /// Set one key, overriding everything else; repeatable
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Print all figures as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Write the certified regions into a new file, which --check verifies
+    #[arg(long, value_name = "FILE")]
+    pub write: Option<PathBuf>,
+    /// Verify such a file, from its numbers alone; ends with 1 if anything in it is not so
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with_all = ["what", "gains", "from", "speeds", "path", "vehicle", "law", "set", "write"]
+    )]
+    pub check: Option<PathBuf>,
+}
+
+/// A speed of the reference.
+fn speed(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(speed) if speed > 0.0 && speed <= 100.0 => Ok(speed),
+        _ => Err("is not a speed above 0 and up to 100 m/s".to_owned()),
+    }
 }
 
 /// Options of `record`.

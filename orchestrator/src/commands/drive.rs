@@ -26,7 +26,7 @@ pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Fa
         layers.put("--realtime", "run.realtime", true)?;
     }
     let mut config = layers.resolve()?;
-    let (set, origin) = choose(args, &config)?;
+    let (set, origin) = choose(args.gains.as_ref(), &args.from, &config)?;
     let note = describe(&config, &set, &origin);
     config.run.fleet = 1;
     let realtime = config.run.realtime;
@@ -37,14 +37,18 @@ pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Fa
 
 /// The parameters to drive with, and where they come from: named ones, those of trainings, those that were promoted to
 /// the vehicle, the paper's, or the defaults of another law.
-fn choose(args: &DriveArgs, config: &RunConfig) -> Result<(Vec<Parameters>, String), Failure> {
-    if let Some(text) = &args.gains {
+pub(crate) fn choose(
+    gains: Option<&String>,
+    from: &[PathBuf],
+    config: &RunConfig,
+) -> Result<(Vec<Parameters>, String), Failure> {
+    if let Some(text) = gains {
         let set = parse_sets(std::slice::from_ref(text), config)?.remove(0);
         return Ok((set, "--gains".to_owned()));
     }
-    if !args.from.is_empty() {
-        let names: Vec<String> = args.from.iter().map(|run| run.display().to_string()).collect();
-        return Ok((from_trainings(&args.from, config)?, names.join(", ")));
+    if !from.is_empty() {
+        let names: Vec<String> = from.iter().map(|run| run.display().to_string()).collect();
+        return Ok((from_trainings(from, config)?, names.join(", ")));
     }
     if let Some(promoted) = promoted(config)? {
         return Ok(promoted);
@@ -116,7 +120,7 @@ fn missing(config: &RunConfig) -> String {
 }
 
 /// Says which parameters a drive uses, and where they come from.
-fn describe(config: &RunConfig, set: &[Parameters], origin: &str) -> String {
+pub(crate) fn describe(config: &RunConfig, set: &[Parameters], origin: &str) -> String {
     let numbers = |set: &Parameters| {
         let numbers = config.law.values(set).iter().map(|value| tables::trim(*value));
         numbers.collect::<Vec<_>>().join(" ")
@@ -135,7 +139,7 @@ fn describe(config: &RunConfig, set: &[Parameters], origin: &str) -> String {
 fn from_trainings(runs: &[PathBuf], config: &RunConfig) -> Result<Vec<Parameters>, Failure> {
     let mut tuned = Vec::new();
     for run in runs {
-        tuned.push(tuned_parameters(run, config)?);
+        tuned.push(tuned_parameters(run, config, "--from ")?);
     }
     if let [(_, set)] = tuned[..] {
         return Ok(vec![set]);
@@ -156,22 +160,26 @@ fn from_trainings(runs: &[PathBuf], config: &RunConfig) -> Result<Vec<Parameters
         .collect()
 }
 
-/// The manoeuvre and the tuned parameters of a finished training.
-fn tuned_parameters(run: &Path, config: &RunConfig) -> Result<(String, Parameters), Failure> {
+/// The manoeuvre and the tuned parameters of a finished training; `option` stands before its name in errors.
+pub(crate) fn tuned_parameters(
+    run: &Path,
+    config: &RunConfig,
+    option: &str,
+) -> Result<(String, Parameters), Failure> {
     let path = run.join(RESULT_FILE);
-    let wrong = |why: String| Failure::User(format!("--from {}: {why}", path.display()));
+    let wrong = |why: String| Failure::User(format!("{option}{}: {why}", path.display()));
     let decided = match read_result(run) {
         Ok(result) => result.decided,
         Err(outcome::OutcomeError::Io { source, .. }) => {
             let why = format!("{source}; name the folder of a finished training");
             return Err(wrong(why));
         }
-        Err(error) => return Err(Failure::User(format!("--from {error}"))),
+        Err(error) => return Err(Failure::User(format!("{option}{error}"))),
     };
     let Outcome::Train(training) = &decided.outcome else {
         return Err(wrong("is not the result of a training".to_owned()));
     };
-    check_law(&format!("--from {}: its gains", path.display()), &decided.law, config)?;
+    check_law(&format!("{option}{}: its gains", path.display()), &decided.law, config)?;
     let set = config.law.parameters_of(&training.gains);
     let set = set.map_err(|(key, problem)| wrong(format!("gains.{key} {problem}")))?;
     Ok((decided.maneuver, set))

@@ -1,6 +1,7 @@
 //! What each command does, from its options to what it prints. There is one file for each command or family of small
 //! ones.
 
+mod certify;
 mod drive;
 mod gains;
 mod housekeeping;
@@ -10,6 +11,7 @@ mod replay;
 mod sweep;
 mod train;
 
+pub use certify::{Certifiable, certifiable};
 pub use replay::{replay, replay_config};
 
 pub(crate) use drive::drive;

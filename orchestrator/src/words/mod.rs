@@ -9,4 +9,5 @@ mod training;
 
 pub use failure::Failure;
 pub(crate) use failure::known;
+pub use tables::print_table;
 pub use terminal::{print_failure, print_line, print_usage_error};

@@ -395,6 +395,22 @@ pub(crate) fn table_of(header: &[&str]) -> Table {
     table
 }
 
+/// Prints a table whose first column stands left and all others right.
+///
+/// # Errors
+/// If it cannot be written to standard output.
+pub fn print_table(
+    header: &[&str],
+    rows: impl IntoIterator<Item = Vec<String>>,
+) -> Result<(), Failure> {
+    let mut table = table_of(header);
+    for row in rows {
+        table.add_row(row);
+    }
+    say!("{table}");
+    Ok(())
+}
+
 /// A number with `count` digits after the decimal point.
 pub(crate) fn digits(number: f64, count: usize) -> String {
     format!("{number:.count$}")

@@ -21,7 +21,7 @@ use crate::{Car, Equilibrium, Gains};
 pub(crate) const FALL: f64 = 1e-5;
 
 /// The rounding that an entry may have suffered, relative to what was added up to make it.
-const ROUNDING: f64 = 300.0 * f64::EPSILON;
+pub(crate) const ROUNDING: f64 = 300.0 * f64::EPSILON;
 
 /// Why an ellipsoid is refused.
 #[derive(Debug, Clone, PartialEq)]

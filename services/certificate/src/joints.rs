@@ -38,18 +38,28 @@ impl Joint {
     }
 }
 
-/// Drives along a path without noise, with the speed that the law commands, and returns what it met at the joints. The
+/// What a car met on its way.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Way {
+    /// The joints.
+    pub joints: Vec<Joint>,
+    /// The largest turn of the wheels that was asked for in a tick, as a share of the limit, at most 1; `None` if it did
+    /// not drive.
+    pub steering_rate_share: Option<f64>,
+}
+
+/// Drives along a path without noise, with the speed that the law commands, and returns what it met. The
 /// gains are those of the place of the car, along the path. The car begins settled on the first piece.
 pub fn joints(
     car: &Car,
     pieces: &[Piece],
     reference_mps: f64,
     gains_at: impl Fn(f64) -> Gains,
-) -> Vec<Joint> {
+) -> Way {
     let mut gains = gains_at(0.0);
-    let Some(first) = pieces.first() else { return Vec::new() };
+    let Some(first) = pieces.first() else { return Way::default() };
     let Some(at) = Equilibrium::new(car, &gains, reference_mps, first.curvature) else {
-        return Vec::new();
+        return Way::default();
     };
     let (h, wheelbase, point) = (car.tick_s, car.wheelbase_m, car.tracked_point_m);
     let limit = car.steering_limit_rad;
@@ -57,10 +67,13 @@ pub fn joints(
     let (mut x, mut y, mut heading) = (-at.lead_m, at.offset_m, at.heading_rad);
     let (mut filter, mut wheels) = (at.steering_rad, at.steering_rad);
     let mut met = Vec::new();
+    let mut share = 0.0f64;
     let (mut piece, mut begins_m, mut along_m) = (0, 0.0, 0.0);
     loop {
         if along_m >= begins_m + pieces[piece].length_m {
-            let Some(next) = pieces.get(piece + 1) else { return met };
+            let Some(next) = pieces.get(piece + 1) else {
+                return Way { joints: met, steering_rate_share: Some(share.min(1.0)) };
+            };
             begins_m += pieces[piece].length_m;
             (x, y) = turned(next.kink_rad, [x, y]);
             heading -= next.kink_rad;
@@ -79,6 +92,7 @@ pub fn joints(
         let aside = x * sin - y * cos;
         let omega = -gains.ks * heading + gains.kl * aside;
         filter = (gains.ki * (filter + h * omega)).clamp(-limit, limit);
+        share = share.max((filter - wheels).abs() / reach);
         wheels += (filter - wheels).clamp(-reach, reach);
         let speed = (gains.kv * ahead).max(0.0);
         let turn = h * speed * libm::tan(wheels) / wheelbase;

@@ -14,8 +14,10 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+mod assessment;
 mod car;
 mod check;
+mod file;
 mod interior;
 mod joints;
 mod lateral;
@@ -26,11 +28,13 @@ mod small;
 mod spectrum;
 mod vertices;
 
+pub use assessment::{AtSpeed, CLAIM, Certified, Extent, JointAtSpeed, SetAtSpeed, Subject};
 pub use car::{Car, Gains};
 pub use check::{Refusal, check};
-pub use joints::{Joint, Piece, joints};
+pub use file::Certificate;
+pub use joints::{Joint, Piece, Way, joints};
 pub use lateral::{FRAGILE_BELOW_S, LateralLoop};
 pub use region::{Region, START};
 pub use segment::Equilibrium;
-pub use simulated::{STARTS, Simulated};
+pub use simulated::{LARGEST_LEVEL, STARTS, Simulated};
 pub use vertices::{HEADING_RAD, Intervals, State};

@@ -8,6 +8,8 @@
 // As in the equations: rows and columns by their numbers.
 #![allow(clippy::needless_range_loop)]
 
+use serde::{Deserialize, Serialize};
+
 use crate::check::{FALL, check};
 use crate::interior::{Inequality, Point, Problem, VARIABLES};
 use crate::small::{
@@ -26,7 +28,8 @@ const FULL_SIZE_M: f64 = 2.875;
 const LAST: usize = 14;
 
 /// An ellipsoid of states: {x: xᵀ·P·x ≤ 1}.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Region {
     /// Where the loop settles: the states are deviations from it.
     pub equilibrium: Equilibrium,

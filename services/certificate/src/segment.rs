@@ -10,7 +10,8 @@
 use crate::{Car, Gains};
 
 /// Where the loop settles.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Equilibrium {
     /// Curvature of the path, 1/m, positive to the left.
     pub curvature: f64,
@@ -29,19 +30,24 @@ pub struct Equilibrium {
 }
 
 impl Equilibrium {
+    /// Where the loop settles on a straight: on it, this far behind the reference.
+    pub fn straight(reference_mps: f64, lead_m: f64) -> Self {
+        Self {
+            curvature: 0.0,
+            reference_mps,
+            speed_mps: reference_mps,
+            lead_m,
+            offset_m: 0.0,
+            heading_rad: 0.0,
+            steering_rad: 0.0,
+        }
+    }
+
     /// Where the loop settles on this curvature, at this speed of the reference; `None` if nowhere.
     pub fn new(car: &Car, gains: &Gains, reference_mps: f64, curvature: f64) -> Option<Self> {
         let Gains { kv, kl, ks, ki } = *gains;
         let turning = curvature * reference_mps;
-        let mut at = Self {
-            curvature,
-            reference_mps,
-            speed_mps: reference_mps,
-            lead_m: reference_mps / kv,
-            offset_m: 0.0,
-            heading_rad: 0.0,
-            steering_rad: 0.0,
-        };
+        let mut at = Self { curvature, ..Self::straight(reference_mps, reference_mps / kv) };
         if curvature == 0.0 {
             return Some(at);
         }
@@ -85,18 +91,5 @@ impl Equilibrium {
             [it.speed_mps, it.lead_m, it.offset_m, angles[0], angles[1]]
         };
         numbers(self).iter().zip(numbers(other)).all(|(a, b)| (a - b).abs() < 1e-9)
-    }
-
-    /// The state (offset, heading, filter, wheels) of a car that has settled on `self`, seen by the loop that settles on
-    /// `next`, at the moment when the reference passes from one to the other; the path turns by `kink_rad` there.
-    pub fn seen_from(&self, next: &Self, kink_rad: f64) -> [f64; 4] {
-        let (sin, cos) = (libm::sin(kink_rad), libm::cos(kink_rad));
-        let steering_rad = self.steering_rad - next.steering_rad;
-        [
-            cos * self.offset_m + sin * self.lead_m - next.offset_m,
-            self.heading_rad - kink_rad - next.heading_rad,
-            steering_rad,
-            steering_rad,
-        ]
     }
 }

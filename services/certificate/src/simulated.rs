@@ -18,8 +18,8 @@ pub const STARTS: usize = 300;
 /// From one size to the next.
 const GROWTH: f64 = 1.1;
 
-/// Sizes of V that are tried, from half on: up to about five.
-const SIZES: i32 = 25;
+/// Values of V above this are not tried.
+pub const LARGEST_LEVEL: f64 = 24.0;
 
 /// The least and the largest multiple of the start that is tried.
 const EXTENTS: [f64; 2] = [0.02, 2.0];
@@ -85,7 +85,8 @@ impl Simulated {
     }
 
     /// The value of V up to which all starts converge, with random filter and wheels: on the boundary of larger and
-    /// larger ellipsoids, up to the first that fails; up to about 24.
+    /// larger ellipsoids, up to the first that fails, or to
+    /// [`LARGEST_LEVEL`].
     pub fn level(&self, region: &Region, seed: u64) -> f64 {
         let Some(t) = inverse(&region.p).and_then(|q| cholesky(&q)) else { return 0.0 };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -95,7 +96,7 @@ impl Simulated {
         };
         let mut best = 0.0;
         let mut size = 0.5;
-        for _ in 0..SIZES {
+        while best < LARGEST_LEVEL {
             if !starts.iter().all(|u| self.converges(&at(u, size))) {
                 break;
             }

@@ -55,6 +55,7 @@ fn driven(config: &RunConfig, speed_mps: f64) -> Vec<Joint> {
     joints(&Car::new(config), &pieces, speed_mps, |along_m| {
         if (from..to).contains(&along_m) { ROUNDABOUT } else { LANE }
     })
+    .joints
 }
 
 #[test]

@@ -1,0 +1,211 @@
+//! `pathtune certify`: tables of what the certificate computes, and its files.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::Path;
+
+use certificate::{
+    AtSpeed, CLAIM, Certificate, Certified, Extent, FRAGILE_BELOW_S, LARGEST_LEVEL, Subject,
+};
+use config::read_small;
+use orchestrator::cli::CertifyArgs;
+use orchestrator::commands::{Certifiable, certifiable};
+use orchestrator::words::{Failure, print_line, print_table};
+use serde_json::json;
+
+/// Certifies, or verifies a certificate; returns whether what was to be verified holds.
+pub(crate) fn certify(args: &CertifyArgs) -> Result<bool, Failure> {
+    if let Some(file) = &args.check {
+        return check(file, args.json);
+    }
+    let Certifiable { config, sets, note } = certifiable(args)?;
+    if let Some(file) = args.write.as_deref().filter(|file| file.exists()) {
+        return Err(Failure::User(format!("--write {}: exists already", file.display())));
+    }
+    let subject = Subject::new(&config, &sets).map_err(Failure::User)?;
+    let speeds =
+        if args.speeds.is_empty() { vec![own_speed(&config)] } else { args.speeds.clone() };
+    // Each speed by itself: the figures do not depend on it.
+    let all: Vec<AtSpeed> = std::thread::scope(|scope| {
+        let subject = &subject;
+        let work = speeds.iter().map(|speed| scope.spawn(move || subject.at(*speed)));
+        let work: Vec<_> = work.collect();
+        work.into_iter().map(|it| it.join().expect("the certificate does not panic")).collect()
+    });
+    if args.json {
+        let text = json!({
+            "note": note, "car": subject.car(), "condition": CLAIM, "fragile_below_s": FRAGILE_BELOW_S,
+            "no_certificate": subject.uncertain(), "speeds": all,
+        });
+        print_line(&serde_json::to_string_pretty(&text).map_err(anyhow::Error::from)?)?;
+    } else {
+        print(&subject, &note, &all)?;
+    }
+    if let Some(file) = &args.write {
+        let regions: Vec<Certified> = all.into_iter().flat_map(|it| it.regions).collect();
+        if regions.is_empty() {
+            let why = "there is no certified region to write";
+            return Err(Failure::User(format!("--write {}: {why}", file.display())));
+        }
+        write(file, &Certificate::new(&config.vehicle.name, subject.car(), regions))?;
+    }
+    Ok(true)
+}
+
+/// The highest speed of the path's reference.
+fn own_speed(config: &config::RunConfig) -> f64 {
+    config.path.speeds_mps.iter().copied().reduce(f64::max).unwrap_or(config.reference.speed_mps)
+}
+
+fn print(subject: &Subject, note: &str, all: &[AtSpeed]) -> Result<(), Failure> {
+    print_line(note)?;
+    let extent = |it: Option<Extent>, sign: &str| match it {
+        Some(it) => format!("{sign}{:.3} m, {sign}{:.3} rad", it.offset_m, it.heading_rad),
+        None => "–".to_owned(),
+    };
+    let header = [
+        "gains for",
+        "m/s",
+        "stable",
+        "Δ ms",
+        "",
+        "certified region",
+        "simulated region",
+        "rate used",
+    ];
+    let rows = all.iter().flat_map(|at| {
+        at.sets.iter().map(|it| {
+            let margin = match it.additional_dead_time_s {
+                Some(margin_s) => format!("{:.0}", 1000.0 * margin_s),
+                None => "no bound".to_owned(),
+            };
+            vec![
+                it.maneuver.clone(),
+                format!("{}", at.speed_mps),
+                if it.stable { "yes" } else { "no" }.to_owned(),
+                margin,
+                if it.fragile { "fragile" } else { "" }.to_owned(),
+                extent(it.certified, "± "),
+                extent(it.simulated, "± "),
+                at.steering_rate_share
+                    .map_or("–".to_owned(), |it| format!("{:.0} %", 100.0 * it)),
+            ]
+        })
+    });
+    print_table(&header, rows)?;
+    for at in all {
+        for it in &at.sets {
+            if let Some(why) = &it.no_certificate {
+                print_line(&format!("{} at {} m/s: {why}", it.maneuver, at.speed_mps))?;
+            }
+        }
+    }
+    if all.iter().any(|at| !at.joints.is_empty()) {
+        let curve = |curvature: f64| match curvature {
+            0.0 => "straight".to_owned(),
+            it => format!("{} R{:.1}", if it > 0.0 { "left" } else { "right" }, 1.0 / it.abs()),
+        };
+        let header = ["joint of the path", "m/s", "at m", "V", "simulated up to", ""];
+        let rows = all.iter().flat_map(|at| {
+            at.joints.iter().map(|it| {
+                let kink = if it.kink_rad.abs() > 1e-6 {
+                    format!(", kink {:+.2} rad", it.kink_rad)
+                } else {
+                    String::new()
+                };
+                let [from, to] = it.curvatures.map(curve);
+                let number = |it: Option<f64>| it.map_or("–".to_owned(), |it| format!("{it:.2}"));
+                let simulated = match it.simulated_value {
+                    Some(value) if value >= LARGEST_LEVEL => format!("{LARGEST_LEVEL} or more"),
+                    other => number(other),
+                };
+                vec![
+                    format!("{from} → {to}{kink}"),
+                    format!("{}", at.speed_mps),
+                    format!("{:.1}", it.along_m),
+                    number(it.value),
+                    simulated,
+                    if it.is_outside() { "outside" } else { "" }.to_owned(),
+                ]
+            })
+        });
+        print_table(&header, rows)?;
+    }
+    let outside = all.iter().flat_map(|at| &at.joints).filter(|it| it.is_outside()).count();
+    if outside > 0 {
+        print_line(&format!(
+            "warning: {outside} joints lie outside of the simulated region: with noise, a drive may be lost there"
+        ))?;
+    }
+    if subject.passed_over() > 0 {
+        print_line(&format!(
+            "V at joints: not for this path, which is a line through points with {} joints",
+            subject.passed_over()
+        ))?;
+    }
+    print_line(&format!(
+        "Δ: how much later the steering may act until the loop oscillates; below {:.0} ms a set is fragile",
+        1000.0 * FRAGILE_BELOW_S
+    ))?;
+    print_line(
+        "simulated region: 300 of 300 random starts converge, which is at least 99 % with a confidence of 95 %; none \
+         larger than ± 2 m, ± 0.6 rad (for a full-size car) is tried",
+    )?;
+    if all.iter().flat_map(|at| &at.sets).all(|it| it.certified.is_none()) {
+        return Ok(());
+    }
+    print_line(&format!("what a certified region means: {CLAIM}"))
+}
+
+fn write(file: &Path, certificate: &Certificate) -> Result<(), Failure> {
+    let wrong = |why: String| Failure::User(format!("--write {}: {why}", file.display()));
+    let text = serde_json::to_string_pretty(certificate).map_err(anyhow::Error::from)?;
+    let mut out = OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .open(file)
+        .map_err(|error| wrong(error.to_string()))?;
+    out.write_all(format!("{text}\n").as_bytes()).map_err(|error| wrong(error.to_string()))?;
+    eprintln!("pathtune: wrote {} with {} regions", file.display(), certificate.regions.len());
+    Ok(())
+}
+
+/// Verifies a file; returns whether all of it holds.
+fn check(file: &Path, as_json: bool) -> Result<bool, Failure> {
+    let wrong = |why: String| Failure::User(format!("--check {}: {why}", file.display()));
+    let text = read_small(file).map_err(|error| wrong(error.to_string()))?;
+    let certificate: Certificate = serde_json::from_str(&text)
+        .map_err(|error| wrong(format!("is no certificate: {error}")))?;
+    let verdicts = certificate.verify().map_err(wrong)?;
+    let refused = verdicts.iter().filter(|it| it.is_err()).count();
+    if as_json {
+        let each = certificate.regions.iter().zip(&verdicts).map(|(it, verdict)| {
+            let at = &it.region.equilibrium;
+            let why = verdict.as_ref().err().map(ToString::to_string);
+            json!({
+                "maneuver": it.maneuver, "gains": it.gains, "speed_mps": at.reference_mps,
+                "curvature": at.curvature, "holds": verdict.is_ok(), "refused": why,
+            })
+        });
+        let text = json!({ "vehicle": certificate.vehicle, "regions": each.collect::<Vec<_>>() });
+        print_line(&serde_json::to_string_pretty(&text).map_err(anyhow::Error::from)?)?;
+    } else {
+        let header = ["gains for", "m/s", "curvature 1/m", "verdict"];
+        let rows = certificate.regions.iter().zip(&verdicts).map(|(it, verdict)| {
+            let at = &it.region.equilibrium;
+            vec![
+                it.maneuver.clone(),
+                format!("{}", at.reference_mps),
+                format!("{:.4}", at.curvature),
+                verdict.as_ref().err().map_or("holds".to_owned(), |why| format!("refused: {why}")),
+            ]
+        });
+        print_table(&header, rows)?;
+        let count = verdicts.len();
+        print_line(&match refused {
+            0 => format!("all {count} regions hold for {}", certificate.vehicle),
+            _ => format!("{refused} of {count} regions are refused"),
+        })?;
+    }
+    Ok(refused == 0)
+}

@@ -1,0 +1,335 @@
+//! What is to be said of gains on a path at a speed: margins, regions, joints, and why there is no certificate.
+
+use config::{Advance, Parameters, RunConfig, VehicleModel};
+use serde::{Deserialize, Serialize};
+use tracking::Path;
+
+use crate::region::start;
+use crate::{
+    Car, Equilibrium, FRAGILE_BELOW_S, Gains, Intervals, Joint, LateralLoop, Piece, Region,
+    Simulated, joints,
+};
+
+/// Paths with more joints than this are lines through points, whose curvature changes at each: no joint of them is a
+/// switch that a car settles behind.
+const MOST_JOINTS: usize = 40;
+
+/// Seed of the starts of simulated regions: the same ones, whenever they are asked for.
+const SEED: u64 = 28;
+
+/// Under which condition a certificate holds.
+pub const CLAIM: &str = "V ≤ 1 is never left, and V falls at every tick, on one segment of constant curvature, \
+     as long as speed and lead stay within their intervals and the heading within ± 0.35 rad of where it settles: for \
+     the kinematic car without noise, dead time and lag. On arcs the car settles where speed and lead are those of the \
+     equilibrium. It says nothing of other cars, of noise, or of the moment at which one segment passes into the next.";
+
+/// What a path is driven with.
+#[derive(Debug, Clone)]
+pub struct Subject<'a> {
+    config: &'a RunConfig,
+    car: Car,
+    /// For each manoeuvre that is due, its name and gains.
+    sets: Vec<(String, Gains)>,
+    /// For each zone, where it begins and its gains.
+    zones: Vec<(f64, Gains)>,
+    pieces: Vec<Piece>,
+}
+
+/// An extent of states: offset and heading, both ways.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Extent {
+    /// Offset from where the loop settles.
+    pub offset_m: f64,
+    /// Heading from where it settles.
+    pub heading_rad: f64,
+}
+
+/// A set of gains at a speed, on a straight.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SetAtSpeed {
+    /// The manoeuvre that the gains are for.
+    pub maneuver: String,
+    /// The gains.
+    pub gains: Gains,
+    /// How far the reference runs ahead.
+    pub lead_m: f64,
+    /// The spectral radius of a tick.
+    pub spectral_radius: f64,
+    /// Whether small offsets die out.
+    pub stable: bool,
+    /// The additional dead time Δ; `None` if it is without bound.
+    pub additional_dead_time_s: Option<f64>,
+    /// Whether Δ is too small.
+    pub fragile: bool,
+    /// The certified region.
+    pub certified: Option<Extent>,
+    /// Why there is none.
+    pub no_certificate: Option<String>,
+    /// The region from which 300 of 300 simulated starts converge; no larger one than twice the start was tried.
+    pub simulated: Option<Extent>,
+}
+
+/// A joint of the path at a speed.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct JointAtSpeed {
+    /// Where it is.
+    pub along_m: f64,
+    /// Curvatures before and behind, 1/m.
+    pub curvatures: [f64; 2],
+    /// By how much the path turns there.
+    pub kink_rad: f64,
+    /// V of the state that the car is in when the reference passes; `None` if there is no region behind.
+    pub value: Option<f64>,
+    /// Up to which V all simulated starts converge.
+    pub simulated_value: Option<f64>,
+}
+
+impl JointAtSpeed {
+    /// Whether the joint lies outside of what is certain, and of what converges when simulated.
+    pub fn is_outside(&self) -> bool {
+        match (self.value, self.simulated_value) {
+            (Some(value), Some(simulated)) => value > simulated.max(1.0),
+            _ => false,
+        }
+    }
+}
+
+/// A region with the gains and the manoeuvre that it is for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Certified {
+    /// The manoeuvre that the gains are for.
+    pub maneuver: String,
+    /// The gains.
+    pub gains: Gains,
+    /// The region.
+    pub region: Region,
+}
+
+/// All that is said of a path at a speed.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AtSpeed {
+    /// The speed of the reference.
+    pub speed_mps: f64,
+    /// The sets.
+    pub sets: Vec<SetAtSpeed>,
+    /// The joints of the path.
+    pub joints: Vec<JointAtSpeed>,
+    /// The largest share of the steering's rate that the path asks for; 1: the limit.
+    pub steering_rate_share: Option<f64>,
+    /// The regions on straights and on the arcs of the path.
+    #[serde(skip)]
+    pub regions: Vec<Certified>,
+}
+
+impl<'a> Subject<'a> {
+    /// The subject of a configuration with sets for the manoeuvres that are due, or with one for all.
+    ///
+    /// # Errors
+    /// If nothing can be said of the law or of the gains: why.
+    pub fn new(config: &'a RunConfig, sets: &[Parameters]) -> Result<Self, String> {
+        if config.law.name != "paper" {
+            return Err(format!(
+                "no certificate for the law {}: the loop is written down for the paper's law alone",
+                config.law.name
+            ));
+        }
+        let late = config.vehicle.steering_delay_s > 0.0 || config.vehicle.steering_lag_s > 0.0;
+        if late && config.controller.compensate_dead_time {
+            return Err(
+                "no certificate for a law that compensates dead time (controller.compensate_dead_time): its loop is \
+                 another one"
+                    .to_owned(),
+            );
+        }
+        let due = config.maneuvers_due();
+        let all: Vec<Gains> = sets.iter().map(Gains::new).collect();
+        if let Some(still) = all.iter().find(|it| it.kv <= 0.0) {
+            return Err(format!("the gains have kv = {}: such a car does not drive", still.kv));
+        }
+        let sets: Vec<(String, Gains)> = match all[..] {
+            [one] => vec![(config.maneuver.clone(), one)],
+            _ => due.iter().map(|it| (*it).to_owned()).zip(all).collect(),
+        };
+        let by_zone = config.sets_by_zone(&sets_of(&sets));
+        let zones = &config.path.zones;
+        let zones = zones.iter().map(|it| it.from_m).zip(by_zone.iter().map(Gains::new)).collect();
+        let mut subject =
+            Self { config, car: Car::new(config), sets, zones, pieces: pieces(config) };
+        if let [(_, one)] = subject.sets[..] {
+            subject.zones = vec![(0.0, one)];
+        }
+        Ok(subject)
+    }
+
+    /// The car.
+    pub fn car(&self) -> &Car {
+        &self.car
+    }
+
+    /// Why no region can be certified for this car, if so.
+    pub fn uncertain(&self) -> Option<String> {
+        let vehicle = &self.config.vehicle;
+        let says = |what: &str| Some(format!("no certificate: {what}"));
+        if self.config.reference.advance == Advance::Projection {
+            return says("the reference follows the car (reference.advance)");
+        }
+        if vehicle.model == VehicleModel::Dynamic {
+            return says("the tyres of this car slip (vehicle.model), the certified one's do not");
+        }
+        if vehicle.steering_delay_s > 0.0 || vehicle.steering_lag_s > 0.0 {
+            return says("the steering has dead time or lag; see Δ and the simulated region");
+        }
+        let is_exact = vehicle.steering_gain == 1.0
+            && vehicle.steering_offset_rad == 0.0
+            && vehicle.steering_dead_band_rad == 0.0;
+        (!is_exact)
+            .then_some("no certificate: the steering has a gain, an offset or a dead band".into())
+    }
+
+    /// How many joints the path has that are too many to be looked at; 0 if they are not.
+    pub fn passed_over(&self) -> usize {
+        let joints = self.pieces.len().saturating_sub(1);
+        if joints > MOST_JOINTS { joints } else { 0 }
+    }
+
+    fn gains_at(&self, along_m: f64) -> Gains {
+        let behind = self.zones.iter().rev().find(|(from_m, _)| *from_m <= along_m);
+        behind.unwrap_or(&self.zones[0]).1
+    }
+
+    /// All that is said of it at a speed.
+    pub fn at(&self, speed_mps: f64) -> AtSpeed {
+        let mut regions = Vec::new();
+        let sets = self
+            .sets
+            .iter()
+            .map(|(maneuver, gains)| self.set_at(maneuver, gains, speed_mps, &mut regions));
+        let sets: Vec<SetAtSpeed> = sets.collect();
+        let may_drive = sets.iter().all(|it| it.stable) && self.uncertain().is_none();
+        let (mut seen, mut share) = (Vec::new(), None);
+        if may_drive && self.passed_over() == 0 {
+            let way = joints(&self.car, &self.pieces, speed_mps, |along_m| self.gains_at(along_m));
+            share = way.steering_rate_share;
+            let look = |joint: &Joint| self.joint_at(joint, speed_mps, &mut regions);
+            seen = way.joints.iter().map(look).collect();
+        }
+        AtSpeed { speed_mps, sets, joints: seen, steering_rate_share: share, regions }
+    }
+
+    fn set_at(
+        &self,
+        maneuver: &str,
+        gains: &Gains,
+        speed_mps: f64,
+        regions: &mut Vec<Certified>,
+    ) -> SetAtSpeed {
+        let lead_m = match self.config.reference.advance {
+            Advance::Time => speed_mps / gains.kv,
+            Advance::Projection => self.config.reference.lookahead_m,
+        };
+        let lateral = LateralLoop::new(&self.car, gains, speed_mps, lead_m);
+        let spectral_radius = lateral.spectral_radius();
+        let stable = spectral_radius < 1.0;
+        let margin_s = if stable { lateral.additional_dead_time_s() } else { 0.0 };
+        let mut no_certificate = self.uncertain();
+        let (mut certified, mut simulated) = (None, None);
+        let at = Equilibrium::straight(speed_mps, lead_m);
+        if !stable {
+            no_certificate = Some("no certificate: the loop is unstable".to_owned());
+        } else {
+            let mut simulation = Simulated::new(&self.car, gains, &at);
+            if no_certificate.is_none() {
+                match self.region(maneuver, gains, &at, regions) {
+                    Some(region) => {
+                        certified = Some(self.extent(region.extent));
+                        simulation = simulation.within(&region);
+                    }
+                    None => {
+                        no_certificate = Some(
+                            "no certificate: no ellipsoid was found in which V falls everywhere"
+                                .to_owned(),
+                        );
+                    }
+                }
+            }
+            simulated = simulation.extent(SEED).map(|it| self.extent(it));
+        }
+        SetAtSpeed {
+            maneuver: maneuver.to_owned(),
+            gains: *gains,
+            lead_m,
+            spectral_radius,
+            stable,
+            additional_dead_time_s: margin_s.is_finite().then_some(margin_s),
+            fragile: margin_s < FRAGILE_BELOW_S,
+            certified,
+            no_certificate,
+            simulated,
+        }
+    }
+
+    fn joint_at(
+        &self,
+        joint: &Joint,
+        speed_mps: f64,
+        regions: &mut Vec<Certified>,
+    ) -> JointAtSpeed {
+        let gains = &joint.gains;
+        let name = self.sets.iter().find(|(_, it)| it == gains).map_or("", |(name, _)| name);
+        let found = Equilibrium::new(&self.car, gains, speed_mps, joint.curvatures[1])
+            .and_then(|at| Some((at, self.region(name, gains, &at, regions)?)));
+        let (value, simulated_value) = match &found {
+            None => (None, None),
+            Some((at, region)) => {
+                let simulation = Simulated::new(&self.car, gains, at).within(region);
+                let value = region.value(&joint.deviation(at));
+                (Some(value), Some(simulation.level(region, SEED)))
+            }
+        };
+        let Joint { along_m, curvatures, kink_rad, .. } = *joint;
+        JointAtSpeed { along_m, curvatures, kink_rad, value, simulated_value }
+    }
+
+    /// The region around an equilibrium, searched only once.
+    fn region(
+        &self,
+        maneuver: &str,
+        gains: &Gains,
+        at: &Equilibrium,
+        known: &mut Vec<Certified>,
+    ) -> Option<Region> {
+        let same = |it: &&Certified| it.gains == *gains && it.region.equilibrium == *at;
+        if let Some(known) = known.iter().find(same) {
+            return Some(known.region.clone());
+        }
+        let region = Region::find(&self.car, gains, at, Intervals::default())?;
+        let maneuver = maneuver.to_owned();
+        known.push(Certified { maneuver, gains: *gains, region: region.clone() });
+        Some(region)
+    }
+
+    fn extent(&self, share: f64) -> Extent {
+        let [offset_m, heading_rad] = start(&self.car);
+        Extent { offset_m: share * offset_m, heading_rad: share * heading_rad }
+    }
+}
+
+fn sets_of(sets: &[(String, Gains)]) -> Vec<Parameters> {
+    sets.iter().map(|(_, it)| Parameters::of(&[it.kv, it.kl, it.ks, it.ki])).collect()
+}
+
+/// The pieces of a path between its joints.
+fn pieces(config: &RunConfig) -> Vec<Piece> {
+    let path = Path::new(&config.path);
+    let ends: Vec<f64> = path.joints_m().collect();
+    let piece = |ends: &[f64]| Piece {
+        length_m: ends[1] - ends[0],
+        curvature: path.curvature(0.5 * (ends[0] + ends[1])),
+        kink_rad: match ends[0] {
+            0.0 => 0.0,
+            at => path.at(at).yaw_rad - path.at(at - 1e-6).yaw_rad,
+        },
+    };
+    ends.windows(2).map(piece).collect()
+}
