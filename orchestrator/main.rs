@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use orchestrator::House;
 
 mod certify;
+mod identify;
 mod services;
 mod tools;
 

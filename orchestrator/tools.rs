@@ -1,5 +1,6 @@
-//! Tools that are used alongside a pipeline: monitor, recorder, replay, report, certificate.
+//! Tools that are used alongside a pipeline: monitor, recorder, replay, report, certificate, identification.
 
+use crate::identify;
 use monitor::MonitorError;
 use orchestrator::cli::{MonitorArgs, RecordArgs, ReplayArgs};
 use orchestrator::runs::{LivingRun, living_run};
@@ -13,6 +14,7 @@ pub(crate) const TOOLS: Tools = Tools {
     record,
     replay,
     certify: crate::certify::certify,
+    identify: identify::identify,
 };
 
 /// Watches a living run.

@@ -11,6 +11,7 @@
 mod error;
 mod files;
 mod grid;
+pub mod identified;
 pub mod launch;
 mod law;
 mod layers;

@@ -8,7 +8,9 @@ use clap::error::ErrorKind;
 use runtime::limits;
 
 use crate::bench::bench;
-use crate::cli::{CertifyArgs, Cli, Command, MonitorArgs, RecordArgs, ReplayArgs};
+use crate::cli::{
+    CertifyArgs, Cli, Command, IdentifyArgs, MonitorArgs, RecordArgs, ReplayArgs,
+};
 use crate::commands;
 use crate::conformance::conformance;
 use crate::pipeline::services::Services;
@@ -40,6 +42,8 @@ pub struct Tools {
     pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
     /// Says what is certain of gains; returns whether what it was to verify holds.
     pub certify: fn(&CertifyArgs) -> Result<bool, Failure>,
+    /// Identifies a car from recorded drives.
+    pub identify: fn(&IdentifyArgs) -> Result<(), Failure>,
 }
 
 /// Does what the command line says.
@@ -110,6 +114,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Config(command) => commands::show_config(&command),
         Command::Conformance(args) => return conformance(&args),
         Command::Schema(args) => commands::print_schema(&args),
+        Command::Identify(args) => (tools.identify)(&args),
         Command::Gains(command) => commands::gains(&command),
         Command::Service { name, words } => services.run(&name, &words),
     }

@@ -1,6 +1,7 @@
 //! The command line.
 
 mod sweep;
+mod identify;
 mod time;
 
 use std::net::SocketAddr;
@@ -11,6 +12,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::StartAt;
 
 pub use sweep::{EngineArgs, KubernetesArgs, RunJobsArgs, SlurmArgs, StudyArg, SweepCommand};
+pub use identify::{CommandType, IdentifyArgs};
 
 /// Tunes a path-tracking controller by reinforcement learning, in separate processes that communicate over shared
 /// memory.
@@ -109,6 +111,8 @@ pub enum Command {
     Conformance(Box<ConformanceArgs>),
     /// Print the messages and topics for a process in another language, or the schema of result.json
     Schema(SchemaArgs),
+    /// Find a vehicle's values (wheelbase, dead times, lag, …) from recorded drives in it
+    Identify(Box<IdentifyArgs>),
     /// Manage the gains in a vehicle's file: promote those of a training, or roll back
     #[command(subcommand)]
     Gains(GainsCommand),

@@ -5,6 +5,7 @@ mod certify;
 mod drive;
 mod gains;
 mod housekeeping;
+mod identify;
 mod presets;
 mod rearm;
 mod replay;
@@ -12,6 +13,7 @@ mod sweep;
 mod train;
 
 pub use certify::{Certifiable, certifiable};
+pub use identify::{Identified, conclude, roll_back, vehicle_of};
 pub use replay::{replay, replay_config};
 
 pub(crate) use drive::drive;

@@ -10,7 +10,10 @@ use crate::steering::{self, Steering};
 
 /// Half the width of a 95 % interval in standard deviations.
 pub(crate) const Z95: f64 = 1.96;
-/// A fit that is worse by this much (twice the logarithm of the likelihood) contradicts the value that it was held at.
+/// A fit that is worse by no more than this (twice the logarithm of the likelihood) agrees with the value that it was held
+/// at.
+const AGREES: f64 = 1.0;
+/// One that is worse by this much contradicts it.
 const CONTRADICTED: f64 = 15.0;
 
 /// How wide half of an interval may be for a key to count as identified, in the coordinates of the fit.
@@ -97,8 +100,8 @@ fn best_start(
     Some((best, weights))
 }
 
-/// Holds one parameter after the other that the drive does not tell at the file's value: the least told first, because
-/// another one may be told once it is held.
+/// Holds one parameter after the other that the drive does not tell at the file's value, where the drive agrees with it: the
+/// least told first, because another one may be told once it is held.
 fn hold_what_is_not_told<M: Held>(
     model: &mut M,
     mut at: Vec<f64>,
@@ -129,12 +132,16 @@ fn hold_what_is_not_told<M: Held>(
         held[worst] = model.axes()[worst].prior;
         model.axes_mut()[worst].free = false;
         let held = descend(model, &weights, &held, 12);
-        if cost(model, &weights, &held) > before + CONTRADICTED {
-            model.axes_mut()[worst].free = true;
-            told[worst] = Told::Contradicted { half };
-        } else {
-            told[worst] = Told::TooWide { half };
+        let worse = cost(model, &weights, &held) - before;
+        told[worst] = Told::TooWide { half };
+        if worse <= AGREES {
             (at, weights) = settle(model, weights, &held, 1, &all);
+            continue;
+        }
+        // Held at the file's value, it would mislead the others: they are better told by a fit that leaves it free.
+        model.axes_mut()[worst].free = true;
+        if worse > CONTRADICTED {
+            told[worst] = Told::Contradicted { half };
         }
     }
 }

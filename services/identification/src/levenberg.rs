@@ -15,6 +15,9 @@ const MAD_TO_SD: f64 = 1.4826;
 /// than a fifth of its standard deviation.
 const ENOUGH: f64 = 0.03;
 
+/// No parameter moves by more than this in a step, in standard deviations of its prior.
+const LONGEST_STEP: f64 = 0.4;
+
 /// One parameter, in the coordinates in which it is fitted (logarithms of what is positive).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Axis {
@@ -149,7 +152,8 @@ fn slopes(model: &impl Model, weights: &Weights, at: &[f64], here: &Here) -> Vec
             there[index] = (at[index] + axis.step).min(axis.high);
             model.residuals(&there, &weights.each, &mut moved);
             let ahead = there[index];
-            if axis.is_two_sided {
+            // At a bound, inwards.
+            if axis.is_two_sided || ahead == at[index] {
                 there[index] = (at[index] - axis.step).max(axis.low);
                 model.residuals(&there, &weights.each, &mut behind);
             } else {
@@ -207,7 +211,14 @@ pub(crate) fn descend(
                 damping *= 10.0;
                 continue;
             };
-            let step = cholesky.solve(&gradient);
+            let mut step = cholesky.solve(&gradient);
+            // Far from the minimum the model is not linear: no parameter may run away.
+            let longest = free.iter().enumerate().fold(0.0_f64, |longest, (row, &index)| {
+                longest.max(step[row].abs() / axes[index].prior_sd)
+            });
+            if longest > LONGEST_STEP {
+                step *= LONGEST_STEP / longest;
+            }
             let mut there = at.clone();
             for (row, &index) in free.iter().enumerate() {
                 there[index] = (at[index] - step[row]).clamp(axes[index].low, axes[index].high);

@@ -38,6 +38,55 @@ pub struct Message {
     pub data: Vec<u8>,
 }
 
+/// Whether a file is a recording of ours: an MCAP file that begins with our metadata. Another one may be a bag of ROS 2.
+///
+/// # Errors
+/// If it cannot be read.
+pub fn is_ours(path: &Path) -> Result<bool> {
+    let mut ours = None;
+    // Ours begins with its metadata; no message comes before it.
+    let _ = scan(path, |record| match record {
+        Record::Metadata { name: BEGINNING, .. } => {
+            ours = Some(true);
+            bail!("known")
+        }
+        Record::Message { .. } => {
+            ours = Some(false);
+            bail!("known")
+        }
+        _ => Ok(()),
+    });
+    Ok(ours.unwrap_or(false))
+}
+
+/// Reads any MCAP file, and gives its messages to `take` one after the other: topic, time of arrival, and bytes. Returns why
+/// reading ended before the end, if it did, as the end of a sentence about the file.
+///
+/// # Errors
+/// If it cannot be read at all; or that of `take`.
+pub fn read_any(
+    path: &Path,
+    mut take: impl FnMut(&str, u64, &[u8]) -> Result<()>,
+) -> Result<Option<String>> {
+    let (mut channels, mut kept) = (BTreeMap::new(), Kept::default());
+    let end = scan(path, |record| match record {
+        Record::Channel { id, topic } => {
+            kept.note(topic.len())?;
+            channels.insert(id, topic.to_owned());
+            Ok(())
+        }
+        Record::Message { channel, log_time_ns, data } => {
+            take(channels.get(&channel).map_or("", String::as_str), log_time_ns, data)
+        }
+        _ => Ok(()),
+    })?;
+    Ok(match end {
+        End::Whole => None,
+        End::CutOff(what) => Some(format!("was cut off: {what}")),
+        End::Damaged(where_and_why) => Some(format!("is damaged {where_and_why}")),
+    })
+}
+
 /// Keeps count of what is kept in memory.
 #[derive(Debug, Default)]
 pub struct Kept(usize);
