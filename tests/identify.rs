@@ -7,10 +7,10 @@ use std::fs;
 use std::process::Output;
 
 use config::{Layers, Vehicle};
-use identification::{EXCITATION_S, excitation};
 use serde_json::Value;
 use simulator::SimulatedVehicle;
 use support::Sandbox;
+use tracking::{EXCITATION_S, excitation};
 
 /// What the user believes of the car.
 const FILE: &str = "# My car.\nbased_on = \"tesla_model_3_guarded\"\nname = \"mine\"\nwheelbase_m = 2.2 # by eye\nsteering_delay_s = 0.02\nsteering_lag_s = 0.2\nsteering_rate_radps = 0.9\ngear_engaged = true\n\n[safety]\n# Softly.\nstop_deceleration_mps2 = 1.5\n";
@@ -49,7 +49,7 @@ fn write_drive(sandbox: &Sandbox, name: &str, rate: impl Fn(f64, f64, f64) -> f6
     for tick in 0..(EXCITATION_S / 0.01) as usize {
         let time_s = tick as f64 * 0.01;
         let seen = car.observe();
-        let (steering_rad, speed_mps) = excitation(time_s, 1.0, 1.0);
+        let (steering_rad, speed_mps) = excitation(time_s, 0.25, 2.0, 0.0);
         writeln!(
             text,
             "{time_s:.2},{:.4},{:.4},{:.5},{:.4},{:.5},{steering_rad:.6},{speed_mps}",
@@ -141,6 +141,31 @@ fn odometry_that_repeats_the_command_and_files_that_are_no_drive_are_refused() {
     fs::write(sandbox.path("broken.mcap"), b"\x89MCAP0\r\n").unwrap();
     refused(&sandbox, &["broken.mcap"], &["broken.mcap"]);
     refused(&sandbox, &[], &["DRIVE"]);
+}
+
+#[test]
+fn the_excitation_is_driven_and_names_the_command_that_identifies() {
+    let sandbox = sandbox();
+    let args = ["excite", "--vehicle", "true.toml", "--out", "out", "--compact"];
+    let output = sandbox.run(&args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let told = String::from_utf8(output.stdout).unwrap();
+    assert!(told.contains("pathtune identify "), "{told}");
+    assert!(told.contains("out/recording.mcap --vehicle true.toml"), "{told}");
+    let args = ["identify", "out/recording.mcap", "--vehicle", "car.toml", "--write"];
+    let output = sandbox.run(&args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let (found, truth) = (vehicle(&sandbox, "car.toml"), vehicle(&sandbox, "true.toml"));
+    near(found.wheelbase_m, truth.wheelbase_m, 0.002);
+    near(found.steering_delay_s, truth.steering_delay_s, 0.02);
+    near(found.steering_lag_s, truth.steering_lag_s, 0.05);
+    near(found.steering_rate_radps, truth.steering_rate_radps, 0.02);
+    near(found.speed_delay_s, truth.speed_delay_s, 0.1);
+    // A wheel turns no further than it can.
+    let output = sandbox.run(&["excite", "--vehicle", "true.toml", "--steering", "0.6"]);
+    assert_eq!(output.status.code(), Some(64));
+    assert!(stderr(&output).contains("give less with --steering"), "{}", stderr(&output));
+    sandbox.assert_clean();
 }
 
 #[test]

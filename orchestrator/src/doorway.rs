@@ -114,6 +114,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Config(command) => commands::show_config(&command),
         Command::Conformance(args) => return conformance(&args),
         Command::Schema(args) => commands::print_schema(&args),
+        Command::Excite(args) => commands::excite(&args, services).and_then(draw),
         Command::Identify(args) => (tools.identify)(&args),
         Command::Gains(command) => commands::gains(&command),
         Command::Service { name, words } => services.run(&name, &words),

@@ -1,6 +1,7 @@
 //! The command line.
 
 mod sweep;
+mod excite;
 mod identify;
 mod time;
 
@@ -12,6 +13,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::StartAt;
 
 pub use sweep::{EngineArgs, KubernetesArgs, RunJobsArgs, SlurmArgs, StudyArg, SweepCommand};
+pub use excite::ExciteArgs;
 pub use identify::{CommandType, IdentifyArgs};
 
 /// Tunes a path-tracking controller by reinforcement learning, in separate processes that communicate over shared
@@ -111,6 +113,8 @@ pub enum Command {
     Conformance(Box<ConformanceArgs>),
     /// Print the messages and topics for a process in another language, or the schema of result.json
     Schema(SchemaArgs),
+    /// Drive what a vehicle is identified by (steering steps, a sine, speed steps), and record it
+    Excite(Box<ExciteArgs>),
     /// Find a vehicle's values (wheelbase, dead times, lag, …) from recorded drives in it
     Identify(Box<IdentifyArgs>),
     /// Manage the gains in a vehicle's file: promote those of a training, or roll back

@@ -3,6 +3,7 @@
 
 mod certify;
 mod drive;
+mod excite;
 mod gains;
 mod housekeeping;
 mod identify;
@@ -17,6 +18,7 @@ pub use identify::{Identified, conclude, roll_back, vehicle_of};
 pub use replay::{replay, replay_config};
 
 pub(crate) use drive::drive;
+pub(crate) use excite::excite;
 pub(crate) use gains::gains;
 pub(crate) use housekeeping::{clean, doctor, logs, status, stop};
 pub(crate) use presets::{print_schema, show_config};

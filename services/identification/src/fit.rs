@@ -129,7 +129,7 @@ fn hold_what_is_not_told<M: Held>(
         let half = fitted.half(&[(worst, 1.0)]);
         let before = cost(model, &weights, &at);
         let mut held = at.clone();
-        held[worst] = model.axes()[worst].prior;
+        held[worst] = model.axes()[worst].file;
         model.axes_mut()[worst].free = false;
         let held = descend(model, &weights, &held, 12);
         let worse = cost(model, &weights, &held) - before;

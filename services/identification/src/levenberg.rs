@@ -26,6 +26,8 @@ pub(crate) struct Axis {
     /// Centre and standard deviation of the prior.
     pub(crate) prior: f64,
     pub(crate) prior_sd: f64,
+    /// The file's value; the lowest one for a 0 whose logarithm is fitted.
+    pub(crate) file: f64,
     /// Step of the difference quotients.
     pub(crate) step: f64,
     /// Whether they look to both sides, as a function with kinks needs it.

@@ -17,7 +17,6 @@
 
 mod computed;
 mod drive;
-mod excitation;
 mod fit;
 mod identify;
 mod levenberg;
@@ -28,7 +27,6 @@ mod speed;
 mod steering;
 
 pub use drive::{Command, Drive, Odometry};
-pub use excitation::{EXCITATION_S, excitation};
 pub use identify::{Identification, NoiseFound, Options, Point, identify};
 pub use prediction::Prediction;
 pub use refusal::Refusal;

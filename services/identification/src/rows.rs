@@ -97,9 +97,9 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
         };
         let why = match contradicted {
             true => format!(
-                "{wide}; the file's {} does not fit the drive, which would rather have {:.3}",
+                "{wide}; the file's {} does not fit the drive, which would rather have {}",
                 key.before,
-                value(at)
+                rounded(value(at), 0.2 * value(at).abs())
             ),
             false => wide,
         };

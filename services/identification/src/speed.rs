@@ -138,13 +138,20 @@ pub(crate) struct Speed<'a> {
 impl<'a> Speed<'a> {
     pub(crate) fn new(stretches: &'a [Stretch], vehicle: &Vehicle) -> Self {
         let prior = of_vehicle(vehicle);
+        let mut is_zero = [false; COUNT];
+        is_zero[KP] = vehicle.speed_kp == 0.0;
+        is_zero[KI] = vehicle.speed_ki == 0.0;
+        is_zero[DRAG] = vehicle.drag_per_s == 0.0;
+        is_zero[ROLLING] = vehicle.rolling_decel_mps2 == 0.0;
         let axis = |index: usize| {
             let (low, high, prior_sd, step) = match index {
                 DELAY => (0.0, 0.95, 0.3, DELAY_STEP_S),
                 _ => (prior[index] - 4.0, prior[index] + 4.0, 1.2, 1e-5),
             };
             let is_two_sided = index == DELAY;
-            Axis { low, high, prior: prior[index], prior_sd, step, is_two_sided, free: true }
+            let prior = prior[index];
+            let file = if is_zero[index] { low } else { prior };
+            Axis { low, high, prior, prior_sd, file, step, is_two_sided, free: true }
         };
         let mut places = Vec::new();
         let mut first_block = 0;

@@ -109,6 +109,7 @@ impl<'a> Steering<'a> {
             high,
             prior: prior[index],
             prior_sd,
+            file: if index == LAG && vehicle.steering_lag_s == 0.0 { low } else { prior[index] },
             step,
             is_two_sided: false,
             free,

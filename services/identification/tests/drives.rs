@@ -4,8 +4,9 @@
 mod support;
 
 use config::Vehicle;
-use identification::{Drive, EXCITATION_S, Options, Refusal, excitation, identify};
+use identification::{Drive, Options, Refusal, identify};
 use support::{Dice, SENSORS, Sensors, drive, excite, hidden_car};
+use tracking::{EXCITATION_S, excitation};
 
 const EXACT: Sensors =
     Sensors { position_sd_m: 0.0, heading_sd_rad: 0.0, speed_sd_mps: 0.0, yaw_rate_sd_radps: 0.0 };
@@ -130,7 +131,7 @@ fn a_measured_wheelbase_gives_the_gain_in_its_place() {
 fn of_a_long_recording_some_minutes_are_fitted_and_it_repeats_bit_for_bit() {
     let (car, file, mut dice) = car();
     let lively = |time_s: f64| match time_s % 150.0 {
-        ..EXCITATION_S => excitation(time_s % 150.0, 1.0, 1.0),
+        ..EXCITATION_S => excitation(time_s % 150.0, 0.25, 2.0, 0.0),
         _ => (0.0, 2.0),
     };
     let long = [drive(&car, 300.0, &SENSORS, &mut dice, lively)];

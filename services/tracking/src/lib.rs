@@ -11,6 +11,7 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+mod excitation;
 mod laps;
 mod objectives;
 mod path;
@@ -19,6 +20,7 @@ mod reference;
 mod steering;
 mod zones;
 
+pub use excitation::{EXCITATION_S, excitation};
 pub use laps::{Lap, LapRecorder};
 pub use objectives::Objective;
 pub use path::{Path, PathFollower, PathPoint};

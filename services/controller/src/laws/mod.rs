@@ -4,6 +4,7 @@
 //! parameters and settings. Everything that a law may look at is in [`Sight`]; what a law does not ask for is not
 //! computed.
 
+mod excitation;
 mod held_steering;
 mod lqr;
 mod mpc;
@@ -132,6 +133,7 @@ macro_rules! laws {
 }
 
 laws! {
+    "excitation" => Excitation(excitation::Excitation),
     "lqr" => Lqr(lqr::Lqr),
     "mpc" => Mpc(mpc::Mpc),
     "paper" => Paper(paper::Paper),

@@ -2,10 +2,11 @@
 #![allow(dead_code, reason = "each test uses a part")]
 
 use config::{Layers, RunConfig, Vehicle};
-use identification::{Command, Drive, EXCITATION_S, Odometry, excitation};
+use identification::{Command, Drive, Odometry};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use simulator::SimulatedVehicle;
+use tracking::{EXCITATION_S, excitation};
 
 /// Random numbers that are the same everywhere.
 pub(crate) struct Dice(ChaCha8Rng);
@@ -124,5 +125,5 @@ pub(crate) fn drive(
 
 /// The excitation, driven by a car.
 pub(crate) fn excite(car: &Vehicle, sensors: &Sensors, dice: &mut Dice) -> Drive {
-    drive(car, EXCITATION_S, sensors, dice, |time_s| excitation(time_s, 1.0, 1.0))
+    drive(car, EXCITATION_S, sensors, dice, |time_s| excitation(time_s, 0.25, 2.0, 0.0))
 }
