@@ -1,8 +1,8 @@
 //! The command line.
 
-mod sweep;
 mod excite;
 mod identify;
+mod sweep;
 mod time;
 
 use std::net::SocketAddr;
@@ -12,9 +12,9 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::StartAt;
 
-pub use sweep::{EngineArgs, KubernetesArgs, RunJobsArgs, SlurmArgs, StudyArg, SweepCommand};
 pub use excite::ExciteArgs;
 pub use identify::{CommandType, IdentifyArgs};
+pub use sweep::{EngineArgs, KubernetesArgs, RunJobsArgs, SlurmArgs, StudyArg, SweepCommand};
 
 /// Tunes a path-tracking controller by reinforcement learning, in separate processes that communicate over shared
 /// memory.
