@@ -8,9 +8,7 @@ use clap::error::ErrorKind;
 use runtime::limits;
 
 use crate::bench::bench;
-use crate::cli::{
-    CertifyArgs, Cli, Command, IdentifyArgs, MonitorArgs, RecordArgs, ReplayArgs,
-};
+use crate::cli::{CertifyArgs, Cli, Command, IdentifyArgs, MonitorArgs, RecordArgs, ReplayArgs};
 use crate::commands;
 use crate::conformance::conformance;
 use crate::pipeline::services::Services;
