@@ -10,6 +10,7 @@ use replayer::reviewer::Outcome;
 
 pub(crate) const TOOLS: Tools = Tools {
     report: |folder| report::write_report(folder).map_err(|why| why.to_string()),
+    study: |table| report::write_study(table).map_err(|why| why.to_string()),
     monitor: look,
     record,
     replay,

@@ -169,7 +169,7 @@ fn damage_costs_one_job_and_wrong_input_is_not_tried_again() {
 
     // Whole again: what was done is done.
     fs::write(sandbox.path("study.jsonl"), &whole).unwrap();
-    failed(&sandbox.run(&["sweep", "collect", "study.jsonl"]), 75, "1 jobs have no result");
+    failed(&sandbox.run(&["sweep", "collect", "study.jsonl"]), 75, "1 job has no result");
     let status = ok(&sandbox.run(&["sweep", "status", "study.jsonl"]));
     assert!(status.contains("1 of 2 jobs are done, 1 missing, 0 failed\nmissing: 0"), "{status}");
 
@@ -180,7 +180,7 @@ fn damage_costs_one_job_and_wrong_input_is_not_tried_again() {
     ok(&sandbox.run(&["sweep", "plan", "cars.toml"]));
     fs::write(sandbox.path("car.toml"), "wheelbase_m = 2.6\n").unwrap();
     let output = sandbox.run(&["sweep", "run", "cars.jsonl", "--all", "-j", "1"]);
-    failed(&output, 64, "1 jobs have failed");
+    failed(&output, 64, "1 job has failed");
     let status = ok(&sandbox.run(&["sweep", "status", "cars.jsonl"]));
     assert!(status.contains("failed: job 0 (exit code 64, tried once, last on "), "{status}");
     assert!(status.contains("plan the study again"), "{status}");

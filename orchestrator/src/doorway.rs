@@ -32,6 +32,8 @@ pub struct House {
 pub struct Tools {
     /// Draws the report of the run in a folder; returns the path of its page.
     pub report: fn(&Path) -> Result<PathBuf, String>,
+    /// Draws the page of a study beside the table of its jobs; returns the page's path.
+    pub study: fn(&Path) -> Result<PathBuf, String>,
     /// Watches a living run.
     pub monitor: fn(MonitorArgs) -> Result<(), Failure>,
     /// Records a living run.
@@ -95,7 +97,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Drive(args) => commands::drive(&args, services).and_then(draw),
         Command::Rearm { run, vehicle } => commands::rearm(run.name(), vehicle),
         Command::Grid(args) => commands::grid(&args, services).and_then(draw),
-        Command::Sweep(command) => sweep(&command, services),
+        Command::Sweep(command) => sweep(&command, services, tools.study),
         Command::Report { run } => report(&run, tools),
         Command::Record(args) => (tools.record)(&args),
         Command::Replay(args) => return (tools.replay)(&args, services),

@@ -47,7 +47,8 @@ pub enum SweepCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Write the results of all jobs into one CSV file, and print them by groups that differ in nothing but the seed
+    /// Write the results of all jobs into one CSV file and a page with pictures, and print them by groups that differ in
+    /// nothing but the seed
     Collect {
         /// Where the study is.
         #[command(flatten)]

@@ -12,10 +12,11 @@ use comfy_table::Table;
 use comfy_table::presets::NOTHING;
 
 use crate::cli::StudyArg;
+use crate::study::Draw;
 use crate::study::axes::in_order;
 use crate::study::manifest::{Job, Manifest};
 use crate::study::record::Figures;
-use crate::study::status::{Damages, ranges};
+use crate::study::status::{Damages, jobs_have, ranges};
 use crate::study::store::{Standing, Store};
 use crate::words::Failure;
 use crate::words::tables::digits;
@@ -89,7 +90,7 @@ fn cells(it: &Figures) -> [String; FIGURES.len()] {
 ///
 /// # Errors
 /// If a line or record is damaged, or a job is missing; the table is written all the same.
-pub(crate) fn collect(at: &StudyArg, out: Option<&Path>) -> Result<(), Failure> {
+pub(crate) fn collect(at: &StudyArg, out: Option<&Path>, draw: Draw) -> Result<(), Failure> {
     let manifest = Manifest::open(&at.manifest)?;
     let store = Store::of(at);
     let out = out.map_or_else(|| at.manifest.with_extension("csv"), Path::to_owned);
@@ -153,13 +154,18 @@ pub(crate) fn collect(at: &StudyArg, out: Option<&Path>) -> Result<(), Failure> 
 
     groups.print(&axes)?;
     say!("{}", out.display());
+    match draw(&out) {
+        Ok(page) => say!("{}", page.display()),
+        // The table is valid even if its pictures cannot be drawn.
+        Err(why) => tell!("pathtune: no page: {why}"),
+    }
     if !lacking.is_empty() {
         tell!("pathtune: jobs without a result: {}", ranges(&lacking));
     }
     damages.end()?;
     match lacking.len() {
         0 => Ok(()),
-        count => Err(Failure::TryAgain(format!("{count} jobs have no result yet"))),
+        count => Err(Failure::TryAgain(format!("{} no result yet", jobs_have(count)))),
     }
 }
 
@@ -260,6 +266,7 @@ mod tests {
 
     #[test]
     fn missing_jobs_have_empty_figures_and_their_group_no_mean() {
+        let draw: Draw = |table| Ok(table.with_extension("html"));
         let folder = tempfile::tempdir().unwrap();
         let at = StudyArg { manifest: folder.path().join("s.jsonl"), results: None };
         let store = Store::of(&at).make().unwrap();
@@ -279,7 +286,7 @@ mod tests {
         for index in [0, 1, 3] {
             store.keep(&record(&job(index).job, index, 0.5 + index as f64), b"").unwrap();
         }
-        let why = collect(&at, None).unwrap_err();
+        let why = collect(&at, None, draw).unwrap_err();
         assert_eq!(why.code(), 75);
         let text = fs::read_to_string(folder.path().join("s.csv")).unwrap();
         let rows: Vec<Vec<String>> = csv::Reader::from_reader(text.as_bytes())
@@ -304,13 +311,48 @@ mod tests {
         assert_eq!(said, [whole, "1 of 2 distance – – – – –"]);
 
         store.keep(&record(&job(2).job, 2, 2.5), b"").unwrap();
-        collect(&at, None).unwrap();
+        collect(&at, None, draw).unwrap();
         let whole = fs::read_to_string(folder.path().join("s.csv")).unwrap();
         // A damaged record is named, and its job has no figures.
         let path = store.folder.join("00").join(format!("{}.json", job(2).job));
         fs::write(&path, "{").unwrap();
-        assert_eq!(collect(&at, None).unwrap_err().code(), 64);
+        assert_eq!(collect(&at, None, draw).unwrap_err().code(), 64);
         assert_eq!(fs::read_to_string(folder.path().join("s.csv")).unwrap(), text);
         assert_ne!(whole, text);
+    }
+
+    /// `PATHTUNE_JOBS=100000 cargo test --release -p orchestrator --lib collect -- --nocapture` tells time and memory.
+    #[test]
+    fn a_large_study_is_collected_job_by_job() {
+        let jobs = std::env::var("PATHTUNE_JOBS").map_or(300, |count| count.parse().unwrap());
+        let draw: Draw = |_| Err("not here".to_owned());
+        let folder = tempfile::tempdir().unwrap();
+        let at = StudyArg { manifest: folder.path().join("s.jsonl"), results: None };
+        let store = Store::of(&at).make().unwrap();
+        // Spread as hashes are.
+        let job = |index: u64| Job {
+            index,
+            job: format!("{:016x}{index:016x}", index.wrapping_mul(0x9e37_79b9_7f4a_7c15)),
+            axes: [("seed".to_owned(), index.to_string())].into(),
+            command: vec!["train".to_owned(), "--seed".to_owned(), index.to_string()],
+        };
+        let started = std::time::Instant::now();
+        manifest::write(&at.manifest, |take| (0..jobs).try_for_each(|index| take(&job(index))))
+            .unwrap();
+        let planned = started.elapsed();
+        for index in 0..jobs {
+            store.keep(&record(&job(index).job, index, 1.0 / (1 + index) as f64), b"{}").unwrap();
+        }
+        let kept = started.elapsed() - planned;
+        collect(&at, None, draw).unwrap();
+        let collected = started.elapsed() - planned - kept;
+        let status = fs::read_to_string("/proc/self/status").unwrap();
+        let peak = status.lines().find(|line| line.starts_with("VmHWM")).unwrap_or_default();
+        println!(
+            "{jobs} jobs: manifest {planned:.1?}, records {kept:.1?}, collect {collected:.1?}; {peak}"
+        );
+        let text = fs::read_to_string(folder.path().join("s.csv")).unwrap();
+        assert_eq!(text.lines().count() as u64, 1 + jobs);
+        assert!(text.lines().skip(1).all(|line| line.split(',').nth(2) == Some("done")));
     }
 }

@@ -16,6 +16,7 @@ use rustix::thread::{CpuSet, sched_setaffinity};
 use crate::cli::{RunJobsArgs, TrainArgs};
 use crate::commands::train_silently;
 use crate::pipeline::services::Services;
+use crate::runs::preflight::check_resources;
 use crate::study::identity::{Family, config_of, options_of};
 use crate::study::manifest::{Job, Manifest};
 use crate::study::record::Record;
@@ -103,14 +104,31 @@ fn try_job(
     }
     let folder = scratch.join(&job.job);
     prepare(&folder, &mut options)?;
-    let result = match finished(&folder) {
-        Some(result) => result,
-        None => train_silently(&options, services).map_err(|failure| match failure {
-            // The configuration is right: what is left is this machine.
-            Failure::User(why) => Failure::TryAgain(why),
+    let run = |options: &TrainArgs| train_silently(options, services);
+    // Before what an earlier trial left: this says nothing about it.
+    check_resources(config.fleet().max(config.learners()))
+        .map_err(|failure| Failure::TryAgain(failure.message()))?;
+    let trial = match (finished(&folder), options.resume.is_some()) {
+        (Some(result), _) => Ok(result),
+        (None, false) => run(&options),
+        (None, true) => match run(&options) {
+            // What an earlier trial left is of no use, as after a power cut: from the beginning, then.
+            Err(Failure::User(why)) => {
+                say(args, &format!("begins anew: {why}"));
+                wait_for_lock(&folder)?;
+                fs::remove_dir_all(&folder)?;
+                options.resume = None;
+                options.setup.out = Some(folder.clone());
+                run(&options)
+            }
             other => other,
-        })?,
+        },
     };
+    let result = trial.map_err(|failure| match failure {
+        // The configuration is right: what is left is this machine.
+        Failure::User(why) => Failure::TryAgain(why),
+        other => other,
+    })?;
     let failed = |why: String| Failure::TryAgain(why);
     let outcome = fs::read(folder.join(OUTCOME_FILE))?;
     let record = Record::of(&job.job, &result, &outcome, &host()).map_err(failed)?;
@@ -138,7 +156,19 @@ fn prepare(folder: &Path, options: &mut TrainArgs) -> Result<(), Failure> {
         options.setup.out = Some(folder.to_owned());
         return Ok(());
     }
-    // The processes of a killed trial may need a moment to follow it.
+    wait_for_lock(folder)?;
+    // Both are written before the first drive.
+    if ["config.toml", "launch.toml", "journal"].iter().all(|name| folder.join(name).exists()) {
+        options.resume = Some(folder.to_owned());
+    } else {
+        fs::remove_dir_all(folder)?;
+        options.setup.out = Some(folder.to_owned());
+    }
+    Ok(())
+}
+
+/// Refuses a folder in which another process trains. Those of a killed trial may need a moment to follow it.
+fn wait_for_lock(folder: &Path) -> Result<(), Failure> {
     let until = Instant::now() + Duration::from_secs(2);
     while let Ok(lock) = open_regular(&folder.join("lock"))
         && lock.try_lock_shared().is_err()
@@ -148,13 +178,6 @@ fn prepare(folder: &Path, options: &mut TrainArgs) -> Result<(), Failure> {
             return Err(Failure::TryAgain(why));
         }
         thread::sleep(Duration::from_millis(20));
-    }
-    // Both are written before the first drive.
-    if ["config.toml", "launch.toml", "journal"].iter().all(|name| folder.join(name).exists()) {
-        options.resume = Some(folder.to_owned());
-    } else {
-        fs::remove_dir_all(folder)?;
-        options.setup.out = Some(folder.to_owned());
     }
     Ok(())
 }

@@ -19,7 +19,7 @@ use crate::runs::preflight::check_resources_of_pipelines;
 use crate::study::identity::config_of;
 use crate::study::manifest::Manifest;
 use crate::study::progress::Progress;
-use crate::study::status::Damages;
+use crate::study::status::{Damages, jobs_have};
 use crate::study::store::Store;
 use crate::words::Failure;
 use crate::words::terminal::{say, tell};
@@ -68,12 +68,11 @@ pub(crate) fn run_all(args: &RunJobsArgs) -> Result<(), Failure> {
         say!("{done} of {all} jobs are done");
         damages.end()?;
         let count = failed.len();
+        let jobs = jobs_have(count);
         let way_on = "see `pathtune sweep status`";
         return match failed.contains(&WRONG_INPUT) {
-            true => Err(Failure::User(format!("{count} jobs have failed; {way_on}"))),
-            false if count > 0 => {
-                Err(Failure::TryAgain(format!("{count} jobs have failed; {way_on}")))
-            }
+            true => Err(Failure::User(format!("{jobs} failed; {way_on}"))),
+            false if count > 0 => Err(Failure::TryAgain(format!("{jobs} failed; {way_on}"))),
             false => Ok(()),
         };
     }

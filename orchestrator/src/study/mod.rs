@@ -19,17 +19,22 @@ mod scripts;
 mod status;
 mod store;
 
+use std::path::{Path, PathBuf};
+
 use crate::cli::SweepCommand;
 use crate::pipeline::services::Services;
 use crate::study::manifest::Manifest;
 use crate::words::terminal::say;
 use crate::words::{Failure, print_line};
 
+/// Draws the page of a study beside its table.
+pub(crate) type Draw = fn(&Path) -> Result<PathBuf, String>;
+
 /// `pathtune sweep`.
 ///
 /// # Errors
 /// As its parts.
-pub(crate) fn sweep(command: &SweepCommand, services: Services) -> Result<(), Failure> {
+pub(crate) fn sweep(command: &SweepCommand, services: Services, draw: Draw) -> Result<(), Failure> {
     match command {
         SweepCommand::Plan { study, out } => plan::plan(study, out.as_deref()),
         SweepCommand::Jobs { at, index } => {
@@ -55,6 +60,6 @@ pub(crate) fn sweep(command: &SweepCommand, services: Services) -> Result<(), Fa
         SweepCommand::Parallel(args) => print_line(scripts::parallel(args)?.trim_end()),
         SweepCommand::Kubernetes(args) => print_line(scripts::kubernetes(args)?.trim_end()),
         SweepCommand::Status { at, json } => status::status(at, *json),
-        SweepCommand::Collect { at, out } => collect::collect(at, out.as_deref()),
+        SweepCommand::Collect { at, out } => collect::collect(at, out.as_deref(), draw),
     }
 }

@@ -38,6 +38,11 @@ impl Damages {
     }
 }
 
+/// A number of jobs as the subject of a sentence, with its verb.
+pub(crate) fn jobs_have(count: usize) -> String {
+    if count == 1 { "1 job has".to_owned() } else { format!("{count} jobs have") }
+}
+
 /// Numbers of jobs, written as ranges, as in `3, 7-12`; a long list ends in `…`.
 pub(crate) fn ranges(numbers: &[u64]) -> String {
     const MOST: usize = 20;

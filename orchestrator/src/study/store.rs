@@ -5,7 +5,7 @@
 //! ab/ab….outcome.json   its outcome.json
 //! ab/ab….failed         why its last trial failed
 //! work/ab…/             the run's folder of a trial under way, unless a scratch folder was named
-//! part/                 files that are being written
+//! ab/.ab….part          a file that is being written, or that somebody was killed over
 //! ```
 //!
 //! Records are spread over 256 folders by the first two digits of the identity: a million files in one folder are slow to
@@ -52,7 +52,7 @@ impl Store {
         let fail = |error: io::Error| {
             Failure::TryAgain(format!("{}: cannot be made: {error}", self.folder.display()))
         };
-        fs::create_dir_all(self.folder.join("part")).map_err(fail)?;
+        fs::create_dir_all(&self.folder).map_err(fail)?;
         Ok(Self { folder: fs::canonicalize(&self.folder).map_err(fail)? })
     }
 
@@ -110,10 +110,15 @@ impl Store {
     /// Writes a file as a whole. Others may write the same one on other machines: each has a part of its own.
     fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), String> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let part =
-            self.folder.join("part").join(format!("{name}.{}.{}", host(), std::process::id()));
-        let written = fs::create_dir_all(path.parent().unwrap_or(&self.folder))
-            .and_then(|()| fs::write(&part, bytes))
+        let part = path.with_file_name(format!(".{name}.{}.{}.part", host(), std::process::id()));
+        let written = fs::write(&part, bytes)
+            .or_else(|error| match (error.kind(), part.parent()) {
+                // The first file of its folder.
+                (io::ErrorKind::NotFound, Some(folder)) => {
+                    fs::create_dir_all(folder).and_then(|()| fs::write(&part, bytes))
+                }
+                _ => Err(error),
+            })
             .and_then(|()| fs::rename(&part, path));
         written.map_err(|error| {
             let _ = fs::remove_file(&part);
@@ -146,7 +151,8 @@ mod tests {
         store.keep(&record(&job, 7, 1.0), b"{}").unwrap();
         assert!(store.is_done(&job));
         assert!(store.failed(&job).is_none());
-        assert_eq!(fs::read_dir(store.folder.join("part")).unwrap().count(), 0);
+        let files = fs::read_dir(store.folder.join("ab")).unwrap().count();
+        assert_eq!(files, 2, "only the record and the outcome are left");
         for bytes in [&b""[..], b"{", &[b'x'; 5000]] {
             fs::write(store.path(&job, "json"), bytes).unwrap();
             let Standing::Damaged(why) = store.standing(&job) else { panic!() };

@@ -22,6 +22,7 @@ mod laps;
 mod page;
 mod panels;
 mod standings;
+mod study;
 mod switches;
 mod train;
 mod validate;
@@ -78,6 +79,17 @@ pub fn write_report(run: &Path) -> Result<PathBuf, ReportError> {
     let index = folder.join("index.html");
     replace(&index, &html)?;
     Ok(index)
+}
+
+/// Writes the page of a study beside its table, which `pathtune sweep collect` has written, and returns the page's path.
+///
+/// # Errors
+/// If the table is not what a collection writes, or the page cannot be written.
+pub fn write_study(table: &Path) -> Result<PathBuf, ReportError> {
+    let (html, _) = study::page_of(table)?;
+    let page = table.with_extension("html");
+    replace(&page, &html)?;
+    Ok(page)
 }
 
 /// The page of a run, and its pictures. `text` is the configuration from the run's folder.

@@ -51,6 +51,12 @@ impl Page {
         Self { title, head, sections: Vec::new(), pictures: Vec::new() }
     }
 
+    /// A page of something else than a run, with these facts below its title.
+    pub(crate) fn titled(title: &str, facts: Markup) -> Self {
+        let head = html! { h1 { (title) } (facts) };
+        Self { title: title.to_owned(), head, sections: Vec::new(), pictures: Vec::new() }
+    }
+
     /// Adds a section after the others.
     pub(crate) fn section(&mut self, title: &str, body: Markup) {
         self.sections.push(html! { section { h2 { (title) } (body) } });
@@ -79,7 +85,21 @@ impl Page {
     }
 
     /// The whole page, and its pictures.
-    pub(crate) fn finish(self, config: &str) -> (String, Vec<Picture>) {
+    pub(crate) fn finish(mut self, config: &str) -> (String, Vec<Picture>) {
+        self.section(
+            "Configuration",
+            html! {
+                details {
+                    summary { "The resolved configuration: passing it with `--config` repeats the run" }
+                    pre { (config) }
+                }
+            },
+        );
+        self.finish_without_config()
+    }
+
+    /// The same for what has no configuration of its own.
+    pub(crate) fn finish_without_config(self) -> (String, Vec<Picture>) {
         let page = html! {
             (DOCTYPE)
             html lang="en" {
@@ -95,13 +115,6 @@ impl Page {
                     main {
                         header { (self.head) }
                         @for section in &self.sections { (section) }
-                        section {
-                            h2 { "Configuration" }
-                            details {
-                                summary { "The resolved configuration: passing it with `--config` repeats the run" }
-                                pre { (config) }
-                            }
-                        }
                     }
                 }
             }
