@@ -14,7 +14,7 @@ done
 work=$(mktemp -d /tmp/ptslurm.XXXXXX)
 node=$(hostname -s)
 export SLURM_CONF=$work/slurm.conf XDG_RUNTIME_DIR=$work/r
-mkdir "$work"/{r,state,spool,scratch}
+mkdir "$work"/{r,state,spool,scratch,slurm.results}
 cores=$(nproc)
 cat > "$SLURM_CONF" <<CONF
 ClusterName=study
@@ -34,12 +34,12 @@ SlurmdLogFile=$work/slurmd.log
 ProctrackType=proctrack/linuxproc
 TaskPlugin=task/affinity
 SelectType=select/cons_tres
-SelectTypeParameters=CR_Core
+SelectTypeParameters=CR_Core_Memory
 ReturnToService=2
 SlurmdTimeout=20
 JobRequeue=1
 MailProg=/bin/true
-NodeName=$node NodeAddr=127.0.0.1 CPUs=$cores State=UNKNOWN
+NodeName=$node NodeAddr=127.0.0.1 CPUs=$cores RealMemory=$(free -m | awk "/^Mem:/ { print \$2 }") State=UNKNOWN
 PartitionName=all Nodes=$node Default=YES MaxTime=INFINITE State=UP
 CONF
 slurmd=
