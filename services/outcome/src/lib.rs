@@ -85,7 +85,7 @@ pub enum Outcome {
     /// A sweep of the grid.
     Grid(GridResult),
     /// A single drive.
-    Drive(SingleDrive),
+    Drive(Box<SingleDrive>),
 }
 
 impl Outcome {

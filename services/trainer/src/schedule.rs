@@ -290,7 +290,7 @@ impl Schedule {
                 result.drives_recorded = recorded;
                 result.drives_lacking = lacking;
                 result.laps = laps;
-                Outcome::Drive(result)
+                Outcome::Drive(Box::new(result))
             }),
         })
     }
