@@ -48,6 +48,9 @@ pub struct RunConfig {
     pub learning: Learning,
     /// How a set is chosen under noise.
     pub robust: Robust,
+    /// On which plants a set is driven in a training.
+    #[serde(default)]
+    pub over: crate::Over,
     /// The keys that differ from run to run.
     pub run: Run,
     /// The vehicle.
@@ -203,10 +206,15 @@ impl RunConfig {
         }
     }
 
-    /// Number of vehicles in the fleet: `run.fleet`, or one for each learner.
+    /// Number of drives for which a training can wait at the same time: one for each learner and plant.
+    pub fn drivers(&self) -> usize {
+        self.learners() * self.plants()
+    }
+
+    /// Number of vehicles in the fleet: `run.fleet`, or one for each learner and plant.
     pub fn fleet(&self) -> usize {
         match self.run.fleet {
-            0 => self.learners(),
+            0 => self.drivers().min(crate::MAX_FLEET),
             fleet => fleet as usize,
         }
     }
@@ -399,6 +407,8 @@ macro_rules! choice {
         pub enum $name { $($(#[$variant_doc])* $variant),+ }
     };
 }
+
+pub(crate) use choice;
 
 choice!(
     /// How the reference pose advances.

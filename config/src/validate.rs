@@ -56,7 +56,8 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     scales(c)?;
     learning(c)?;
     run(c)?;
-    vehicle(c)
+    vehicle(c)?;
+    crate::plants::validate(c)
 }
 
 /// Bounds between which the reference waits.
@@ -325,7 +326,7 @@ fn safety(config: &RunConfig) -> Result<(), Problem> {
     above("vehicle.safety.command_age_limit_s", s.command_age_limit_s, 0.0, 10.0)
 }
 
-fn vehicle(config: &RunConfig) -> Result<(), Problem> {
+pub(crate) fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     safety(config)?;
     crate::ros2::validate(&config.vehicle.ros2)?;
     crate::tuned::validate(&config.vehicle.gains)?;

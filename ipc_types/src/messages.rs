@@ -426,7 +426,7 @@ message!(
         pub step: u32,
         /// The bits of [`DriveRequest::flags`].
         pub flags: u32,
-        /// Which set of vehicle values is to be driven: 0 for the configured one.
+        /// Which plant is to be driven: 0 for the configured vehicle, n for the n-th of `RunConfig::plant_changes`.
         pub plant: u32,
     }
 );
@@ -456,7 +456,7 @@ message!(
         pub step: u32,
         /// The bits below.
         pub flags: u32,
-        /// Which set of vehicle values is to be driven: 0 for the configured one.
+        /// Which plant is to be driven: 0 for the configured vehicle, n for the n-th of `RunConfig::plant_changes`.
         pub plant: u32,
     }
 );

@@ -168,7 +168,7 @@ pub struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "law", "objective",
-            "tuner", "drives", "out",
+            "tuner", "drives", "over", "over_by", "out",
             "config", "set", "launch", "replace", "deterministic", "path", "vehicle", "record", "record_split",
         ]
     )]
@@ -194,6 +194,13 @@ pub struct TrainArgs {
     /// Budget of drives, repeats under noise included; only for tuners without episodes [default: the tuner's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub drives: Option<u32>,
+    /// Judge each set by its drives on several plants, which are vehicles that the car may really be: `default` for eight
+    /// around the vehicle's file, or a TOML file with [[plants]], each with a name, `add` and `scale`
+    #[arg(long, value_name = "default|FILE")]
+    pub over: Option<String>,
+    /// How the drives over plants are judged together
+    #[arg(long, value_name = "HOW", default_value = "mean", requires = "over", value_parser = ["mean", "p90", "worst"])]
+    pub over_by: String,
     /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,

@@ -233,6 +233,14 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
             )));
         }
     }
+    if let Some(why) = &trained.fragile
+        && !force
+    {
+        return Err(Failure::User(format!(
+            "{}: the set is fragile, {why}; train with --over default for a steadier one, or insist with --force",
+            run.display()
+        )));
+    }
     let text = promote::promote(&target.text, maneuver, law, parameters, provenance)
         .map_err(|why| Failure::User(format!("{}: {why}", file.display())))?;
     if !dry_run {
@@ -293,6 +301,8 @@ struct Trained {
     provenance: Provenance,
     vehicle: Vehicle,
     on_bound: Vec<String>,
+    /// Why its gains are fragile, if they are.
+    fragile: Option<String>,
 }
 
 impl Trained {
@@ -389,6 +399,7 @@ impl Trained {
             provenance,
             vehicle: config.vehicle,
             on_bound: training.on_bound.clone(),
+            fragile: training.plants.as_ref().and_then(|it| it.fragile.clone()),
         })
     }
 }

@@ -106,6 +106,16 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
         }
         layers.put("--drives", "tuner.settings.drives", i64::from(drives))?;
     }
+    if let Some(over) = &args.over {
+        layers.put("--over", "over.by", args.over_by.as_str())?;
+        if over != "default" {
+            layers.add_plants(Path::new(over))?;
+        }
+        if !launch.ring_is_ours() || layers.clone().resolve()?.run.realtime {
+            let why = "--over: plants are driven by our own simulator in lockstep; leave out --replace, --launch and --realtime";
+            return Err(Failure::User(why.to_owned()));
+        }
+    }
     let mut config = layers.resolve()?;
     // Drives that do not repeat must not stand in for each other.
     config.run.memo &= launch.repeats() && !config.run.realtime;

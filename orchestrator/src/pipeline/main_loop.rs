@@ -114,7 +114,7 @@ impl<'a> Pipeline<'a> {
         progress: &'a mut Progress,
     ) -> Result<Self, Failure> {
         let config = &plan.config;
-        let max_len = config.fleet().max(config.learners());
+        let max_len = config.fleet().max(config.drivers());
         let realtime = plan.sweep.as_ref().is_some_and(|sweep| sweep.realtime);
         let placement = Placement::new(plan.wait, config.fleet(), realtime || config.run.realtime);
         let bus = Bus::create(names, max_len)?.waiting(placement.wait);
@@ -133,7 +133,7 @@ impl<'a> Pipeline<'a> {
             }
         };
         // Each drive of a list has a learner's number of its own.
-        let learners = if plan.sweep.is_some() { u32::MAX } else { config.learners() as u32 };
+        let learners = if plan.sweep.is_some() { u32::MAX } else { config.drivers() as u32 };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
         let mut sequencer = Sequencer::new(names.run, start, config.fleet(), learners);

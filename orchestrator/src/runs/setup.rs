@@ -192,7 +192,7 @@ pub(crate) fn prepare(
         preflight::check_scales(&config, &launch)?;
     }
     sweep_dead_runs();
-    preflight::check_resources(config.fleet().max(config.learners()))?;
+    preflight::check_resources(config.fleet().max(config.drivers()))?;
     let folder = match folder {
         Folder::Old(folder) => fs::canonicalize(folder)?,
         Folder::New(name) => preflight::make_folder(&match &args.out {

@@ -3,6 +3,7 @@
 mod baselines;
 pub(crate) mod failure;
 mod laps;
+mod plants;
 pub(crate) mod tables;
 pub(crate) mod terminal;
 mod training;

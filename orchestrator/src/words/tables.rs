@@ -13,7 +13,7 @@ use outcome::{
 };
 
 use crate::words::terminal::say;
-use crate::words::{Failure, laps, training};
+use crate::words::{Failure, laps, plants, training};
 
 /// Prints the tables of a run, and what else is worth knowing about it.
 pub(crate) fn print_result(result: &RunResult, config: &RunConfig) -> Result<(), Failure> {
@@ -101,6 +101,12 @@ fn print_validation(it: &ValidateResult, config: &RunConfig) -> Result<(), Failu
     }
     let of_paper = if has_paper { "; the paper gives the worst of 10; *: its choice" } else { "" };
     say!("worst and mean of {} drives{of_paper}", it.repeats);
+    for row in &it.rows {
+        if let Some(check) = &row.plants {
+            let set: Vec<String> = row.gains.iter().map(ToString::to_string).collect();
+            say!("{}: {}", set.join(" / "), plants::verdict(check));
+        }
+    }
     if let Some(factor) = it.rms_factor {
         say!("rms factor against the paper {factor:.3}");
     }

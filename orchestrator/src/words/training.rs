@@ -11,7 +11,7 @@ use crate::words::tables::{
     size_with, table_of,
 };
 use crate::words::terminal::say;
-use crate::words::{Failure, baselines};
+use crate::words::{Failure, baselines, plants};
 
 /// Prints the table of a training, whose figures they are, and how the set was chosen.
 pub(super) fn print(
@@ -79,6 +79,9 @@ pub(super) fn print(
     }
     say_effort("steering of the tuned set", &it.measures)?;
     baselines::print(it, config)?;
+    if let Some(check) = &it.plants {
+        plants::print(check, &config.objective.name)?;
+    }
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");
         say!("on a bound of the grid: {bounds}; better gains may lie beyond it");

@@ -6,7 +6,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Baselines, Lap, Measures, ParameterTable, TradeOff};
+use crate::{Baselines, Lap, Measures, ParameterTable, PlantCheck, TradeOff};
 
 /// The result of a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -42,6 +42,9 @@ pub struct TrainResult {
     pub plain_q: Option<Beside>,
     /// The same training by a random walk, on drives of the grid; null if the grid was not driven.
     pub random_walk: Option<Beside>,
+    /// The set on plausible plants; null where another vehicle than our simulator drove.
+    #[serde(default)]
+    pub plants: Option<PlantCheck>,
     /// The textbook sets beside it; null where path and car are the paper's, whose figures are the yardstick there, and
     /// for a vehicle that is not our simulator, which drives the tuned law alone.
     #[serde(default)]

@@ -6,7 +6,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Lap, Measures, ParameterTable};
+use crate::{Lap, Measures, ParameterTable, PlantCheck};
 
 /// The result of a validation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -41,6 +41,9 @@ pub struct ValidatedRow {
     pub noise_free: NoiseFree,
     /// The drives with noise.
     pub noisy: Noisy,
+    /// The set on plausible plants; null for several sets, or where another vehicle than our simulator drove.
+    #[serde(default)]
+    pub plants: Option<PlantCheck>,
     /// Where the parameters changed, in the drive without noise.
     pub switches: Vec<Switch>,
 }

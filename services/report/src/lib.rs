@@ -21,6 +21,7 @@ mod grid;
 mod laps;
 mod page;
 mod panels;
+mod plants;
 mod standings;
 mod study;
 mod switches;

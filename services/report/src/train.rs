@@ -18,6 +18,7 @@ use crate::page::{
     Page, parameter_cells, parameter_heads, parameter_title, parameters_text, symbol, table,
 };
 use crate::panels::{Interval, Panel, Shown, intervals, panels};
+use crate::plants;
 use crate::standings::{Ranks, Row, objective_title, standings};
 
 /// Up to this many episodes, each has a marker; more markers would hide the line.
@@ -36,6 +37,9 @@ pub(crate) fn sections(
     page.section("Result", result(train, run, episodes, config));
     if let Some(beside) = &train.baselines {
         page.section("Beside textbook sets", baselines::section(beside, train, config));
+    }
+    if let Some(check) = &train.plants {
+        page.section("On plants like this car", plants::section(check, &config.objective.name));
     }
     if let Some(curve) = &train.trade_off {
         let body = baselines::curve(page, curve, train, config)?;

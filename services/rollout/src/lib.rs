@@ -77,6 +77,11 @@ impl Rollout {
     pub fn new(config: &RunConfig) -> Self {
         Self::around(SimulatedVehicle::new(config), config)
     }
+
+    /// The loop of a configuration around the vehicle of another one, of which what drives it knows nothing.
+    pub fn on_plant(config: &RunConfig, plant: &RunConfig) -> Self {
+        Self::around(SimulatedVehicle::new(plant), config)
+    }
 }
 
 impl<P: Plant> Rollout<P> {

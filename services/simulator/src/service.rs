@@ -38,6 +38,8 @@ struct Simulator {
     credits: Inlet<Credit>,
     odometry: Outlet<Odometry>,
     run: u64,
+    /// The configured vehicle; once they are asked for, behind it the plants of the configuration.
+    plants: Vec<SimulatedVehicle>,
     config: RunConfig,
     slots: Vec<Slot>,
     lockstep: Lockstep,
@@ -48,6 +50,8 @@ struct Simulator {
 
 struct Slot {
     vehicle: SimulatedVehicle,
+    /// Which of the plants it is.
+    plant: u32,
     last: Odometry,
     ended: bool,
     /// In real time: the vehicle stops, because no command is recent enough.
@@ -64,6 +68,7 @@ impl Simulator {
             credits: bus.inlet()?,
             odometry: bus.outlet()?,
             run,
+            plants: vec![SimulatedVehicle::new(&config)],
             config,
             slots: Vec::new(),
             lockstep: Lockstep::new(&[]),
@@ -78,11 +83,21 @@ impl Simulator {
             self.counters.dropped += 1;
             return Ok(());
         }
-        let vehicle = SimulatedVehicle::new(&self.config);
+        if requests.iter().any(|request| request.plant > 0) && self.plants.len() == 1 {
+            let changes = self.config.plant_changes();
+            let plants =
+                changes.iter().map(|it| SimulatedVehicle::new(&self.config.with_plant(it)));
+            self.plants.extend(plants);
+        }
+        if requests.iter().any(|request| request.plant as usize >= self.plants.len()) {
+            self.counters.dropped += 1;
+            return Ok(());
+        }
         self.slots.truncate(requests.len());
         while self.slots.len() < requests.len() {
             self.slots.push(Slot {
-                vehicle: vehicle.clone(),
+                vehicle: self.plants[0].clone(),
+                plant: 0,
                 last: Odometry::default(),
                 ended: false,
                 own_stop: false,
@@ -92,6 +107,10 @@ impl Simulator {
         for (slot, request) in self.slots.iter_mut().zip(requests) {
             let WirePose { x_m, y_m, yaw_rad } = request.start;
             let noise = has(request.flags, DriveRequest::NOISE).then_some(request.seed);
+            if slot.plant != request.plant {
+                slot.vehicle = self.plants[request.plant as usize].clone();
+                slot.plant = request.plant;
+            }
             slot.vehicle.reset(Pose { x_m, y_m, yaw_rad }, noise);
             slot.ended = false;
             slot.own_stop = false;

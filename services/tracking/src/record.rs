@@ -102,6 +102,47 @@ impl DriveRecord {
         self.reason == EndReason::Collision
     }
 
+    /// One record of several drives with the same parameters: the means of their errors and shares, the largest of their
+    /// largest values, and the reason of the first that does not arrive, if there is one.
+    ///
+    /// # Panics
+    /// If there is no drive.
+    pub fn mean_of(drives: &[Self]) -> Self {
+        let mean = |of: fn(&Self) -> f64| drives.iter().map(of).sum::<f64>() / drives.len() as f64;
+        let most = |of: fn(&Self) -> f64| drives.iter().map(of).fold(0.0, f64::max);
+        let late = drives.iter().find(|it| !it.arrived());
+        Self {
+            ticks: drives.iter().map(|it| it.ticks).max().expect("a drive"),
+            reason: late.map_or(EndReason::Goal, |it| it.reason),
+            mean_abs_along_m: mean(|it| it.mean_abs_along_m),
+            mean_abs_cross_m: mean(|it| it.mean_abs_cross_m),
+            mean_abs_heading_rad: mean(|it| it.mean_abs_heading_rad),
+            along_mse_m2: mean(|it| it.along_mse_m2),
+            cross_mse_m2: mean(|it| it.cross_mse_m2),
+            max_abs_cross_m: most(|it| it.max_abs_cross_m),
+            steering_limited_ticks: drives
+                .iter()
+                .map(|it| it.steering_limited_ticks)
+                .max()
+                .expect("a drive"),
+            // Changes with every one of them, and with their order.
+            trace: drives.iter().fold(0, |trace: u64, it| trace.rotate_left(7) ^ it.trace),
+            path_mean_m: mean(|it| it.path_mean_m),
+            path_p95_m: mean(|it| it.path_p95_m),
+            path_max_m: most(|it| it.path_max_m),
+            progress: mean(|it| it.progress),
+            progress_in_time: mean(|it| it.progress_in_time),
+            steering_travel_radps: mean(|it| it.steering_travel_radps),
+            steering_rate_p95_radps: mean(|it| it.steering_rate_p95_radps),
+            lateral_acceleration_p95_mps2: mean(|it| it.lateral_acceleration_p95_mps2),
+            lateral_acceleration_max_mps2: most(|it| it.lateral_acceleration_max_mps2),
+            lateral_jerk_p95_mps3: mean(|it| it.lateral_jerk_p95_mps3),
+            lateral_jerk_max_mps3: most(|it| it.lateral_jerk_max_mps3),
+            stopped_for: drives.iter().fold(0, |bits, it| bits | it.stopped_for),
+            slowed_for: drives.iter().fold(0, |bits, it| bits | it.slowed_for),
+        }
+    }
+
     /// Whether every number is one that a drive can have.
     pub fn is_plausible(&self) -> bool {
         [

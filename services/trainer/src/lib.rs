@@ -20,6 +20,7 @@ mod own_drives;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod own_file;
 mod packing;
+mod plants;
 mod q_learner;
 mod q_learning;
 mod ranking;

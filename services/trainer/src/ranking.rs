@@ -4,16 +4,16 @@ use std::cmp::Ordering;
 
 use config::{Grid, Parameters, RunConfig};
 use outcome::{Measures, Spread};
-use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
 use crate::own_drives::{OwnDrives, mean_of, spread_of};
+use crate::plants::PlantRollouts;
 use crate::training::by_values;
 
 /// Whether the whole grid of a configuration is driven: it must take at most `ranking.max_ticks` ticks. The limit is a
 /// number of ticks, not a time, because a time would depend on the machine.
 pub fn grid_is_driven(config: &RunConfig) -> bool {
-    let ticks = u128::from(config.ticks()) * config.grid().len() as u128;
+    let ticks = u128::from(config.ticks()) * (config.grid().len() * config.plants()) as u128;
     ticks <= u128::from(config.ranking.max_ticks)
 }
 
@@ -51,7 +51,7 @@ impl Ranking {
     pub fn by_rollout(config: &RunConfig) -> Self {
         let grid = config.grid();
         let drives = if grid_is_driven(config) {
-            let mut rollout = Rollout::new(config);
+            let mut rollout = PlantRollouts::new(config);
             grid.positions().map(|position| rollout.drive(grid.set(position), None)).collect()
         } else {
             Vec::new()
@@ -133,7 +133,7 @@ impl Ranking {
         let of_grid = self.index_of(parameters).and_then(|index| self.drives.get(index));
         of_grid.copied().unwrap_or_else(|| match &self.own {
             Some(own) => own.of(parameters)[0],
-            None => Rollout::new(&self.config).drive(*parameters, None),
+            None => PlantRollouts::new(&self.config).drive(*parameters, None),
         })
     }
 

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 
 use config::{Parameters, RunConfig};
 use outcome::{
-    Beside, Decided, GridStanding, NoiseChoice, Outcome, SCHEMA, SetStanding, TrainResult,
-    VehicleDrives,
+    Beside, Decided, GridStanding, NoiseChoice, Outcome, PlantCheck, SCHEMA, SetStanding,
+    TrainResult, VehicleDrives,
 };
 use tracking::Objective;
 
 use crate::baselines::{baselines, trade_off};
 use crate::digest::digest;
+use crate::plants::{ALTERNATIVES, check};
 use crate::ranking::Figures;
-use crate::training::train_offline;
+use crate::training::{by_values, train_offline};
 use crate::{Ranking, Training};
 
 /// A result with the keys that begin every result.
@@ -89,6 +90,10 @@ pub fn train_result(
             // It would have to be driven with other laws; our simulator's figures are no yardstick for its own.
             Some(_) => None,
         },
+        plants: match drives {
+            None => Some(plant_check(config, training, ranking, &parameters)),
+            Some(_) => None,
+        },
         trade_off: trade_off(config, ranking),
         noise: by_means,
         asked: training.asked_drives(),
@@ -98,6 +103,31 @@ pub fn train_result(
         drives_lacking: BTreeMap::new(),
         laps: BTreeMap::new(),
     }
+}
+
+/// What a set does on plausible plants, beside the nominally best sets of the grid, or else of those that were visited.
+fn plant_check(
+    config: &RunConfig,
+    training: &Training,
+    ranking: &Ranking,
+    set: &Parameters,
+) -> PlantCheck {
+    let mut near: Vec<(f64, Parameters)> = if ranking.is_empty() {
+        training.visited().iter().map(|it| (it.mean_value, it.parameters)).collect()
+    } else {
+        let grid = ranking.grid();
+        let of = |index: usize| grid.set(grid.position(index));
+        ranking.measures().iter().enumerate().map(|(index, it)| (it.value, of(index))).collect()
+    };
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| by_values(&a.1, &b.1)));
+    near.truncate(ALTERNATIVES);
+    // Where drives are long, the set alone.
+    let ticks = config.ticks() * (ALTERNATIVES * config.plant_changes().len()) as u64;
+    if ticks > config.ranking.max_ticks {
+        near.clear();
+    }
+    let near: Vec<Parameters> = near.into_iter().map(|(_, set)| set).collect();
+    check(config, ranking.objective(), set, &near)
 }
 
 /// Names of the parameters that lie on a bound of the grid.

@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
+use std::thread::JoinHandle;
 
 use anyhow::{Context, Result};
 use config::{RunConfig, SweepKind, SweepPlan};
@@ -12,11 +13,12 @@ use ipc_types::{
     Attempt, BatchHeader, DriveOutcome, DriveRequest, GainSwitch, LearnerProgress, Proposal,
     WakeRole, Zone,
 };
-use outcome::{Outcome, Switch};
+use outcome::{Outcome, PlantCheck, Switch};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 
 use crate::grid::GridSweep;
+use crate::own_drives::Driver;
 use crate::result::decided;
 use crate::service::write_outcome;
 use crate::single::{SingleDrive, fastest};
@@ -59,6 +61,8 @@ struct Schedule {
     early: Vec<(BatchHeader, Zone)>,
     /// The switches of each drive, in its last attempt.
     switches: BTreeMap<usize, Vec<Switch>>,
+    /// Drives the sets of a validation on plants, until they are taken.
+    checks: Option<JoinHandle<Vec<Option<PlantCheck>>>>,
     stage: ScheduleStage,
     counters: Counters,
 }
@@ -74,6 +78,8 @@ enum ScheduleStage {
     /// No drive was asked for yet.
     Fresh,
     Driving,
+    /// All drives are over, but the thread with the plants is not.
+    Checking,
     /// The outcome has been written and announced.
     Over,
 }
@@ -105,6 +111,15 @@ impl Schedule {
             // A drive in real time goes on without this process, and is not made again.
             incarnation: if plan.realtime { 0 } else { attachment.incarnation },
         };
+        let checks = match &subject {
+            Subject::Validation(validation)
+                if Driver::of_run(&attachment.folder, &config)? == Driver::Simulator =>
+            {
+                let validation = validation.clone();
+                Some(std::thread::spawn(move || validation.plant_checks()))
+            }
+            _ => None,
+        };
         Ok(Self {
             requests: bus.inlet()?,
             zones: bus.inlet()?,
@@ -126,6 +141,7 @@ impl Schedule {
             ),
             early: Vec::new(),
             switches: BTreeMap::new(),
+            checks,
             stage: ScheduleStage::Fresh,
             counters: Counters::default(),
         })
@@ -231,6 +247,10 @@ impl Schedule {
         if self.sweeping.driven().is_none() {
             return self.propose();
         }
+        if self.checks.as_ref().is_some_and(|thread| !thread.is_finished()) {
+            self.stage = ScheduleStage::Checking;
+            return Ok(());
+        }
         let driven = self.sweeping.driven_so_far();
         if let Some(outcome) = self.outcome(&driven)? {
             write_outcome(&self.folder, &decided(&self.config, outcome))?;
@@ -278,6 +298,13 @@ impl Schedule {
                     result.drives_recorded = recorded;
                     result.drives_lacking = lacking;
                     result.laps = laps;
+                    // A validation that is stopped does not wait for them.
+                    let ready = self.checks.take_if(|thread| thread.is_finished());
+                    if let Some(Ok(mut checks)) = ready.map(JoinHandle::join) {
+                        for (row, number) in result.rows.iter_mut().zip(&rows) {
+                            row.plants = checks[*number].take();
+                        }
+                    }
                     Outcome::Validate(result)
                 })
             }
@@ -301,6 +328,9 @@ impl Service for Schedule {
         if self.stage == ScheduleStage::Fresh {
             self.go_on()?;
             return Ok(true);
+        }
+        if self.stage == ScheduleStage::Checking {
+            self.go_on()?;
         }
         // A zone waits only for this answer.
         let mut any = self.hear_request()? | self.hear_zones()?;

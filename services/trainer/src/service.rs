@@ -3,6 +3,7 @@
 //! drives.
 
 mod after;
+mod parts;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,6 +27,7 @@ use crate::digest::to_hex;
 use crate::journal::{Journal, REMEMBERED_AT_ONCE};
 use crate::own_drives::Driver;
 use crate::service::after::{Chosen, Table};
+use crate::service::parts::Parts;
 use crate::story::Story;
 use crate::sweeping::{Place, Progress, Sweeping};
 use crate::training::{Taken, Training};
@@ -61,6 +63,8 @@ struct Trainer {
     driver: Driver,
     /// Shared with the ranking thread, but only once it has finished.
     training: Arc<Training>,
+    /// Drives over plants that have come, until those of all plants of their step have.
+    parts: Parts,
     journal: Journal,
     story: Story,
     checkpoints: Keeper,
@@ -116,6 +120,7 @@ impl Trainer {
         let (training, lengths) =
             checkpoint::take_up(&folder, &configuration, &config, &mut journal, new)?;
         let story = Story::open(&folder, &config.law, config.learning.heading_weight, lengths)?;
+        let parts = Parts::new(&config);
         Ok(Self {
             outcomes: bus.inlet()?,
             requests: bus.inlet()?,
@@ -129,6 +134,7 @@ impl Trainer {
             folder,
             config,
             driver,
+            parts,
             training: Arc::new(training),
             journal,
             story,
@@ -188,19 +194,19 @@ impl Trainer {
             return self.after_training();
         }
         self.stage = TrainingStage::Training;
-        let wanted = self.training.wanted();
+        let wanted = self.parts.of(&self.training.wanted());
         let ticks = self.config.ticks();
         let flags = if self.config.noise.enabled { DriveRequest::NOISE } else { 0 };
         self.proposals.send(self.header(0), wanted.len(), |index| {
-            let ask = wanted[index];
+            let (ask, learner, plant) = wanted[index];
             Proposal {
                 parameters: ask.parameters.0,
                 seed: ask.seed,
                 ticks,
-                learner: ask.learner,
+                learner,
                 step: ask.step,
                 flags,
-                plant: 0,
+                plant,
             }
         })?;
         Ok(())
@@ -230,7 +236,9 @@ impl Trainer {
             let drive = record_of(report);
             // Asking again would bring the same report again.
             ensure!(drive.is_plausible(), "impossible numbers in a drive report: {report:?}");
-            match self.training_mut().take(report.learner, report.step, drive) {
+            let wanted = self.training.wanted();
+            let Some((learner, drive)) = self.parts.take(&wanted, report, drive) else { continue };
+            match self.training_mut().take(learner, report.step, drive) {
                 Some(step) => taken.push(step),
                 // It was answered before: the report was sent again.
                 None => self.counters.dropped += 1,

@@ -4,11 +4,11 @@ use std::cmp::Ordering;
 use std::collections::HashMap;
 
 use config::{LawConfig, MAX_PARAMETERS, Parameters, RunConfig};
-use rollout::Rollout;
 use serde::{Deserialize, Serialize};
 use tracking::{DriveRecord, Objective};
 
 use crate::digest::Received;
+use crate::plants::PlantRollouts;
 use crate::tuners::{Ask, Told, Tuner, tuner};
 
 /// A drive that a learner took.
@@ -289,7 +289,7 @@ pub fn train_offline(
 
 /// A whole training by plain calls: no process, no shared memory. The oracle of the pipeline.
 pub fn train_by_rollout(config: &RunConfig) -> Training {
-    let mut rollout = Rollout::new(config);
+    let mut rollout = PlantRollouts::new(config);
     train_offline(config, crate::objective_of(config), |ask| {
         let noise = config.noise.enabled.then_some(ask.seed);
         rollout.drive(ask.parameters, noise)

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use config::{ConfigError, PaperRow, Parameters, RunConfig, SweepPlan};
-use outcome::{NoiseFree, Noisy, Switch, ValidateResult, ValidatedRow};
+use outcome::{NoiseFree, Noisy, PlantCheck, Switch, ValidateResult, ValidatedRow};
 use tracking::Objective;
 
 use crate::digest::digest_of_drives;
@@ -86,6 +86,16 @@ impl Validation {
         (cut, whole, numbers)
     }
 
+    /// What each row's set does on plausible plants; `None` for a row with several sets. It drives each on all plants, so it
+    /// takes a while.
+    pub fn plant_checks(&self) -> Vec<Option<PlantCheck>> {
+        let check = |sets: &[Parameters]| match sets {
+            [set] => Some(crate::plants::check(&self.config, &self.objective, set, &[])),
+            _ => None,
+        };
+        self.rows.iter().map(|sets| check(sets)).collect()
+    }
+
     /// Number of rows in the table.
     pub fn len(&self) -> usize {
         self.rows.len()
@@ -163,6 +173,7 @@ impl Validation {
                 paper_mse_m2: noisy_paper,
                 factor: factor(mse_m2_worst, noisy_paper),
             },
+            plants: None,
             switches: switches.to_vec(),
         }
     }

@@ -1,0 +1,70 @@
+//! What a set does on plausible plants.
+
+use outcome::{PlantCheck, PlantDrive};
+
+use crate::words::Failure;
+use crate::words::tables::{digits, or_dash, table_of};
+use crate::words::terminal::say;
+
+/// Prints a set's drives on the plants, and whether it is fragile.
+pub(super) fn print(it: &PlantCheck, objective: &str) -> Result<(), Failure> {
+    let mut table = table_of(&[
+        "on plants like this car",
+        objective,
+        "regret",
+        "off the path: mean m",
+        "max m",
+        "arrived",
+    ]);
+    for plant in &it.plants {
+        let PlantDrive { name, value, regret, path_mean_m, path_max_m, arrived } = plant;
+        table.add_row([
+            name.clone(),
+            digits(*value, 4),
+            regret.map_or("–".to_owned(), |it| format!("{:.1} %", 100.0 * it)),
+            digits(*path_mean_m, 4),
+            digits(*path_max_m, 3),
+            if *arrived { "yes" } else { "no" }.to_owned(),
+        ]);
+    }
+    say!("\n{table}");
+    if it.compared > 0 {
+        say!(
+            "regret: how much more than the best on that plant of the {} nominally best sets and this one",
+            it.compared
+        );
+    }
+    say!("{}", verdict(it));
+    let fresh = &it.fresh;
+    say!(
+        "on {} more plants like these, which chose nothing: {} m off the path on average at 95 % of them, {} at most; {} \
+         beyond 1 m",
+        fresh.plants,
+        digits(fresh.path_mean_p95_m, 4),
+        digits(fresh.path_mean_max_m, 4),
+        fresh.beyond_1_m,
+    );
+    if let Some(other) = &it.alternative {
+        say!(
+            "steadier over these plants: {} with {objective} {} at worst instead of {}, and {} with the vehicle's file",
+            other.gains,
+            digits(other.worst_value, 4),
+            digits(it.worst_value, 4),
+            or_dash(Some(other.value), 4),
+        );
+    }
+    Ok(())
+}
+
+/// Whether the set is fragile, and why.
+pub(crate) fn verdict(it: &PlantCheck) -> String {
+    match &it.fragile {
+        Some(why) => format!(
+            "the set is fragile: {why}. It may shake on the car; train with --over default, or take a steadier set"
+        ),
+        None => {
+            "the set is not fragile: no such plant takes it more than twice as far from the path"
+                .to_owned()
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! A set on plausible plants: vehicles that the car may really be.
+
+use config::NamedParameters;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::ParameterTable;
+
+/// What a set does on the plants of the configuration, driven by our simulator without noise. What drives it believes in
+/// the vehicle's file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PlantCheck {
+    /// Mean distance from the path with the vehicle as its file has it.
+    pub path_mean_m: f64,
+    /// The largest value of the objective on a plant.
+    pub worst_value: f64,
+    /// Why the set is fragile: a plant more than doubles its mean distance from the path, beyond 0.1 m for a car of full
+    /// size, or makes it not arrive. Null if it is not.
+    pub fragile: Option<String>,
+    /// Each plant, in the order of the configuration.
+    pub plants: Vec<PlantDrive>,
+    /// With how many of the nominally best sets it is compared.
+    pub compared: usize,
+    /// The one of these whose worst value on a plant is the least; null if that is the set itself.
+    pub alternative: Option<Alternative>,
+    /// The same set on plants that were drawn anew, and chose nothing.
+    pub fresh: FreshPlants,
+}
+
+impl PlantCheck {
+    /// The plant with the largest value of the objective.
+    pub fn worst(&self) -> Option<&PlantDrive> {
+        self.plants.iter().max_by(|a, b| a.value.total_cmp(&b.value))
+    }
+}
+
+/// A drive on a plant.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PlantDrive {
+    /// How it differs from the vehicle's file.
+    pub name: String,
+    /// Value of the objective.
+    pub value: f64,
+    /// By which share that exceeds the least of the sets compared on the same plant; null if that is 0.
+    pub regret: Option<f64>,
+    /// Mean distance from the path.
+    pub path_mean_m: f64,
+    /// Largest distance from the path.
+    pub path_max_m: f64,
+    /// Whether the drive ended at the end of the path.
+    pub arrived: bool,
+}
+
+/// A set that is steadier over the plants.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Alternative {
+    /// The set.
+    #[schemars(with = "ParameterTable")]
+    pub gains: NamedParameters,
+    /// Value of the objective with the vehicle as its file has it.
+    pub value: f64,
+    /// The largest value on a plant.
+    pub worst_value: f64,
+}
+
+/// A set on plants that were drawn anew: each key lies between the least and the largest change of it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct FreshPlants {
+    /// How many.
+    pub plants: usize,
+    /// The mean distance from the path that 95 % of them do not exceed.
+    pub path_mean_p95_m: f64,
+    /// The largest mean distance from the path.
+    pub path_mean_max_m: f64,
+    /// The largest distance from the path in any drive.
+    pub path_max_m: f64,
+    /// On how many it was more than 1 m from the path.
+    pub beyond_1_m: usize,
+    /// On how many the drive did not end at the end of the path.
+    pub not_arrived: usize,
+}

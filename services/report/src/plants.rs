@@ -1,0 +1,57 @@
+//! The table of plausible plants.
+
+use maud::{Markup, html};
+use outcome::PlantCheck;
+
+use crate::axis::number;
+use crate::page::table;
+
+/// What a set does on the plants, and whether it is fragile.
+pub(crate) fn section(it: &PlantCheck, objective: &str) -> Markup {
+    let fresh = &it.fresh;
+    html! {
+        p {
+            @match &it.fragile {
+                Some(why) => { "The set is " b { "fragile" } ": " (why) ". It may shake on the car." }
+                None => {
+                    "The set is " b { "not fragile" } ": no such plant takes it more than twice as far from the path."
+                }
+            }
+        }
+        (table(
+            html! { tr {
+                th { "plant" } th.number { (objective) } th.number { "regret [%]" }
+                th.number { "off the path, mean [m]" } th.number { "largest [m]" } th { "arrived" }
+            } },
+            html! {
+                @for plant in &it.plants {
+                    tr {
+                        td { (plant.name) }
+                        td.number { (number(plant.value, 4)) }
+                        td.number { @match plant.regret { Some(by) => (number(100.0 * by, 1)), None => "–" } }
+                        td.number { (number(plant.path_mean_m, 4)) }
+                        td.number { (number(plant.path_max_m, 3)) }
+                        td { @if plant.arrived { "yes" } @else { "no" } }
+                    }
+                }
+            },
+        ))
+        p {
+            "Vehicles that the car may really be, driven by our simulator without noise; what drives them believes in the "
+            "vehicle’s file. "
+            @if it.compared > 0 {
+                "Regret is how much more the value is than the best on that plant of the " (it.compared)
+                " nominally best sets and this one. "
+            }
+            "On " (fresh.plants) " more plants like these, which chose nothing: "
+            (number(fresh.path_mean_p95_m, 4)) " m off the path on average at 95 % of them, "
+            (number(fresh.path_mean_max_m, 4)) " m at most; " (fresh.beyond_1_m) " drives went beyond 1 m."
+        }
+        @if let Some(other) = &it.alternative {
+            p {
+                "Steadier over these plants: " (other.gains.to_string()) ", at worst " (number(other.worst_value, 4))
+                " instead of " (number(it.worst_value, 4)) ", and " (number(other.value, 4)) " with the vehicle’s file."
+            }
+        }
+    }
+}

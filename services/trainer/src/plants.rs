@@ -1,0 +1,207 @@
+//! Drives over several plants: how they are judged together, and whether a set is fragile.
+
+use config::{OverBy, Parameters, PlantChange, RunConfig};
+use outcome::{Alternative, FreshPlants, PlantCheck, PlantDrive};
+use rollout::Rollout;
+use tracking::{DriveRecord, Objective};
+
+use crate::rng::Stream;
+
+/// Drives of a set by plain calls: of the configured vehicle, or over the plants of the configuration.
+#[derive(Debug)]
+pub(crate) struct PlantRollouts {
+    rollouts: Vec<Rollout>,
+    judge: Judge,
+}
+
+impl PlantRollouts {
+    pub(crate) fn new(config: &RunConfig) -> Self {
+        let rollouts = match config.over.by {
+            OverBy::Nominal => vec![Rollout::new(config)],
+            _ => config.plant_changes().iter().map(|it| on_plant(config, it)).collect(),
+        };
+        Self { rollouts, judge: Judge::new(config) }
+    }
+
+    /// The drive with a set; over plants, what the drives come to together.
+    pub(crate) fn drive(&mut self, parameters: Parameters, noise_seed: Option<u64>) -> DriveRecord {
+        match &mut self.rollouts[..] {
+            [nominal] => nominal.drive(parameters, noise_seed),
+            all => {
+                let drives: Vec<DriveRecord> =
+                    all.iter_mut().map(|it| it.drive(parameters, noise_seed)).collect();
+                self.judge.together(&drives)
+            }
+        }
+    }
+}
+
+/// The loop around a plant: what drives it believes in the vehicle's file.
+fn on_plant(config: &RunConfig, change: &PlantChange) -> Rollout {
+    Rollout::on_plant(config, &config.with_plant(change))
+}
+
+/// How the drives of a set on several plants become one.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Judge {
+    by: OverBy,
+    objective: Objective,
+}
+
+impl Judge {
+    pub(crate) fn new(config: &RunConfig) -> Self {
+        Self { by: config.over.by, objective: Objective::new(config) }
+    }
+
+    /// One record of drives with the same set, plant by plant in their order.
+    ///
+    /// # Panics
+    /// If there is no drive.
+    pub(crate) fn together(&self, drives: &[DriveRecord]) -> DriveRecord {
+        let share = match self.by {
+            OverBy::Nominal => return drives[0],
+            OverBy::Mean => return DriveRecord::mean_of(drives),
+            OverBy::P90 => 0.9,
+            OverBy::Worst => 1.0,
+        };
+        let mut order: Vec<(f64, usize)> =
+            drives.iter().enumerate().map(|(at, it)| (self.objective.of(it), at)).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let rank = libm::ceil(share * drives.len() as f64) as usize;
+        drives[order[rank.max(1) - 1].1]
+    }
+}
+
+/// The part of a mean distance from the path, for a car of full size, below which no set is fragile.
+const FLOOR_M: f64 = 0.1;
+/// The wheelbase of that car.
+const FULL_SIZE_M: f64 = 2.875;
+/// How much farther from the path a plausible plant may take a set that is not fragile.
+const FRAGILE_FROM: f64 = 2.0;
+/// Among how many of the nominally best sets a robust one is looked for.
+pub(crate) const ALTERNATIVES: usize = 20;
+/// Plants drawn anew, which neither chose a set nor told whether it is fragile.
+const FRESH: usize = 48;
+/// The random stream of the fresh plants.
+const FRESH_STREAM: u64 = 0x0066_7265_7368;
+
+/// What a set does on the plants of the configuration, beside sets that are nominally about as good. `near` are these
+/// sets, the nominally best first; they may contain the set itself.
+pub(crate) fn check(
+    config: &RunConfig,
+    objective: &Objective,
+    set: &Parameters,
+    near: &[Parameters],
+) -> PlantCheck {
+    let mut nominal = config.clone();
+    nominal.over = config::Over { by: OverBy::Nominal, ..config.over.clone() };
+    let changes = nominal.plant_changes();
+    let mut rollouts: Vec<Rollout> = changes.iter().map(|it| on_plant(&nominal, it)).collect();
+    let mut drive_all = |set: &Parameters| -> Vec<DriveRecord> {
+        rollouts.iter_mut().map(|rollout| rollout.drive(*set, None)).collect()
+    };
+    let chosen = drive_all(set);
+    let values_of =
+        |drives: &[DriveRecord]| drives.iter().map(|it| objective.of(it)).collect::<Vec<f64>>();
+    let others: Vec<(Parameters, Vec<f64>)> =
+        near.iter().filter(|it| *it != set).map(|it| (*it, values_of(&drive_all(it)))).collect();
+    let values = values_of(&chosen);
+    let plain = Rollout::new(&nominal).drive(*set, None);
+    let plants: Vec<PlantDrive> = changes
+        .iter()
+        .zip(&chosen)
+        .enumerate()
+        .map(|(plant, (change, drive))| {
+            let best = others.iter().map(|(_, of)| of[plant]).fold(values[plant], f64::min);
+            PlantDrive {
+                name: change.name.clone(),
+                value: values[plant],
+                regret: (best > 0.0).then(|| values[plant] / best - 1.0),
+                path_mean_m: drive.path_mean_m,
+                path_max_m: drive.path_max_m,
+                arrived: drive.arrived(),
+            }
+        })
+        .collect();
+    let floor_m = FLOOR_M * config.vehicle.wheelbase_m / FULL_SIZE_M;
+    let is_to_arrive = config.is_to_arrive();
+    let fragile = plants.iter().find_map(|plant| why_fragile(plant, &plain, floor_m, is_to_arrive));
+    let worst = |of: &[f64]| of.iter().copied().fold(0.0, f64::max);
+    let calmest = others
+        .iter()
+        .map(|(parameters, of)| (worst(of), parameters))
+        .filter(|(value, _)| *value < worst(&values))
+        .min_by(|a, b| a.0.total_cmp(&b.0));
+    let alternative = calmest.map(|(worst_value, parameters)| Alternative {
+        gains: config.law.named(parameters),
+        value: objective.of(&Rollout::new(&nominal).drive(*parameters, None)),
+        worst_value,
+    });
+    PlantCheck {
+        path_mean_m: plain.path_mean_m,
+        worst_value: worst(&values),
+        fragile,
+        compared: others.len(),
+        fresh: fresh(&nominal, &changes, set),
+        alternative,
+        plants,
+    }
+}
+
+/// Why a plant shows a set to be fragile, if it does.
+fn why_fragile(
+    plant: &PlantDrive,
+    plain: &DriveRecord,
+    floor_m: f64,
+    is_to_arrive: bool,
+) -> Option<String> {
+    let PlantDrive { name, path_mean_m, .. } = plant;
+    if is_to_arrive && plain.arrived() && !plant.arrived {
+        return Some(format!("{name}: it does not arrive"));
+    }
+    let is_far = *path_mean_m > FRAGILE_FROM * plain.path_mean_m && *path_mean_m > floor_m;
+    let times = path_mean_m / plain.path_mean_m.max(f64::MIN_POSITIVE);
+    is_far.then(|| {
+        format!("{name}: {path_mean_m:.3} m from the path on average, {times:.1} times as far as without")
+    })
+}
+
+/// The set on plants whose values are drawn anew, each key between the least and the largest change of it.
+fn fresh(config: &RunConfig, changes: &[PlantChange], set: &Parameters) -> FreshPlants {
+    let mut random = Stream::new(config.run.seed, FRESH_STREAM);
+    let mut drives: Vec<DriveRecord> = (0..FRESH)
+        .map(|_| on_plant(config, &drawn(changes, &mut random)).drive(*set, None))
+        .collect();
+    drives.sort_by(|a, b| a.path_mean_m.total_cmp(&b.path_mean_m));
+    // The value that 95 % of the plants do not exceed.
+    let p95 = libm::ceil(0.95 * FRESH as f64) as usize - 1;
+    FreshPlants {
+        plants: FRESH,
+        path_mean_p95_m: drives[p95].path_mean_m,
+        path_mean_max_m: drives[FRESH - 1].path_mean_m,
+        path_max_m: drives.iter().map(|it| it.path_max_m).fold(0.0, f64::max),
+        beyond_1_m: drives.iter().filter(|it| it.path_max_m > 1.0).count(),
+        not_arrived: drives.iter().filter(|it| !it.arrived()).count(),
+    }
+}
+
+/// A plant between those that are named.
+fn drawn(changes: &[PlantChange], random: &mut Stream) -> PlantChange {
+    let mut drawn = PlantChange { name: "drawn".to_owned(), ..PlantChange::default() };
+    let mut draw = |of: fn(&PlantChange) -> &std::collections::BTreeMap<String, f64>, none: f64| {
+        let mut keys: Vec<&String> = changes.iter().flat_map(|it| of(it).keys()).collect();
+        keys.sort_unstable();
+        keys.dedup();
+        let mut between = |key: &String| {
+            let all = changes.iter().map(|it| of(it).get(key).copied().unwrap_or(none));
+            let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), by| {
+                (low.min(by), high.max(by))
+            });
+            low + random.uniform() * (high - low)
+        };
+        keys.into_iter().map(|key| (key.clone(), between(key))).collect()
+    };
+    drawn.add = draw(|it| &it.add, 0.0);
+    drawn.scale = draw(|it| &it.scale, 1.0);
+    drawn
+}
