@@ -1,0 +1,77 @@
+//! Sets on plausible plants: trainings over them, and sets that are fragile.
+
+mod support;
+
+use std::fs;
+
+use serde_json::Value;
+use support::Sandbox;
+
+/// A set that is nearly the best of the roundabout's grid, and shakes where the steering obeys a little later.
+const FRAGILE: &str = "5.8,11,11,0.98";
+
+#[test]
+fn a_training_over_plants_is_the_same_whatever_the_fleet_and_whoever_dies() {
+    let sandbox = Sandbox::new();
+    let plants = "[[plants]]\nname = \"as it is\"\n[[plants]]\nname = \"late\"\nadd = { steering_delay_s = 0.05 }\n\
+                  [[plants]]\nname = \"slow\"\nscale = { steering_rate_radps = 0.5 }\nadd = { steering_lag_s = 0.1 }\n";
+    fs::write(sandbox.path("plants.toml"), plants).unwrap();
+    let train = |name: &str, more: &[&str]| {
+        let args = ["roundabout", "--tuner", "sobol", "--drives", "12", "--over", "plants.toml"];
+        sandbox.train(name, &[&args[..], more].concat())
+    };
+    let alone = train("alone", &[]);
+    let killed = "kill trainer@drive=4; kill simulator@drive=9,tick=100; kill trainer@drive=20";
+    for (name, more) in [("one", &["--fleet", "1"][..]), ("killed", &["--chaos", killed])] {
+        let other = train(name, more);
+        assert_eq!(other["digest"], alone["digest"], "{name}");
+        assert_eq!(other["gains"], alone["gains"], "{name}");
+        assert_eq!(other["plants"], alone["plants"], "{name}");
+    }
+    assert_eq!(alone["plants"]["plants"].as_array().unwrap().len(), 3);
+    // Another way to judge them together, another value.
+    assert_ne!(train("worst", &["--over-by", "worst"])["value"], alone["value"]);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_fragile_set_is_called_so_and_promoted_only_by_force() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("car.toml"), "name = \"mine\"\n").unwrap();
+    let args = ["validate", "roundabout", "--repeats", "2"];
+    let sets = ["--gains", FRAGILE, "--gains", "5.8,21,21,0.91"];
+    let result = sandbox.json("both", &[&args[..], &sets].concat());
+    let fragile = |row: usize| result["rows"][row]["plants"]["fragile"].clone();
+    assert!(fragile(0).as_str().unwrap().contains("dead times +60 ms"), "{}", fragile(0));
+    assert_eq!(fragile(1), Value::Null);
+    assert_eq!(result["rows"][0]["plants"]["fresh"]["plants"], 48);
+
+    // A training that can come to nothing else.
+    let only = ["kv=5.8", "kl=11", "ks=11", "ki=0.98"].map(|pair| {
+        let (key, value) = pair.split_once('=').unwrap();
+        format!("grid.{key}={{min={value:},max={value:},step=1.0}}")
+    });
+    let mut args = vec!["roundabout", "--tuner", "random", "--drives", "1", "--vehicle", "car.toml"];
+    only.iter().for_each(|set| args.extend(["--set", set]));
+    let trained = sandbox.train("shaky", &args);
+    assert!(trained["plants"]["fragile"].is_string(), "{}", trained["plants"]);
+    let refused = sandbox.run(&["gains", "promote", "shaky", "car.toml"]);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(64), "{said}");
+    assert!(said.contains("fragile") && said.contains("--force"), "{said}");
+    let forced = sandbox.run(&["gains", "promote", "shaky", "car.toml", "--force"]);
+    assert!(forced.status.success());
+
+    for (args, wanted) in [
+        (&["--over", "nowhere.toml"][..], "nowhere.toml"),
+        (&["--over", "car.toml"], "car.toml"),
+        (&["--over", "default", "--noise"], "--noise"),
+        (&["--over", "default", "--replace", "vehicle=true"], "--over"),
+    ] {
+        let refused = sandbox.run(&[&["train", "roundabout"][..], args].concat());
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(64), "{args:?}: {said}");
+        assert!(said.contains(wanted), "{args:?}: {said}");
+    }
+    sandbox.assert_clean();
+}
