@@ -1,4 +1,4 @@
-//! The choice under noise, over twenty trainings.
+//! The choice under noise, over several trainings: `PATHTUNE_NOISE_SEEDS` says how many.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -19,7 +19,8 @@ fn noisy_roundabout() -> RunConfig {
 #[allow(clippy::disallowed_methods, reason = "a test may start threads")]
 fn the_choice_under_noise_lies_in_the_best_twentieth() {
     let config = noisy_roundabout();
-    let seeds: Vec<u64> = (1..=20).collect();
+    let count = std::env::var("PATHTUNE_NOISE_SEEDS").map_or(6, |text| text.parse().unwrap());
+    let seeds: Vec<u64> = (1..=count).collect();
     let next = AtomicU64::new(0);
     let mut chosen: Vec<(u64, Parameters)> = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..std::thread::available_parallelism().map_or(1, usize::from))
@@ -59,7 +60,7 @@ fn the_choice_under_noise_lies_in_the_best_twentieth() {
             rank <= best
         })
         .count();
-    assert!(good >= 16, "{good} of 20 in the best {best}");
+    assert!(5 * good >= 4 * seeds.len(), "{good} of {count} in the best {best}");
 }
 
 /// A whole training under noise by plain calls, and the choice among its finalists.
