@@ -51,7 +51,8 @@ fn a_fragile_set_is_called_so_and_promoted_only_by_force() {
         let (key, value) = pair.split_once('=').unwrap();
         format!("grid.{key}={{min={value:},max={value:},step=1.0}}")
     });
-    let mut args = vec!["roundabout", "--tuner", "random", "--drives", "1", "--vehicle", "car.toml"];
+    let mut args =
+        vec!["roundabout", "--tuner", "random", "--drives", "1", "--vehicle", "car.toml"];
     only.iter().for_each(|set| args.extend(["--set", set]));
     let trained = sandbox.train("shaky", &args);
     assert!(trained["plants"]["fragile"].is_string(), "{}", trained["plants"]);

@@ -1,5 +1,6 @@
 //! What a set does on plausible plants.
 
+use config::RunConfig;
 use outcome::{PlantCheck, PlantDrive};
 
 use crate::words::Failure;
@@ -7,25 +8,27 @@ use crate::words::tables::{digits, or_dash, table_of};
 use crate::words::terminal::say;
 
 /// Prints a set's drives on the plants, and whether it is fragile.
-pub(super) fn print(it: &PlantCheck, objective: &str) -> Result<(), Failure> {
-    let mut table = table_of(&[
-        "on plants like this car",
-        objective,
-        "regret",
-        "off the path: mean m",
-        "max m",
-        "arrived",
-    ]);
+pub(super) fn print(it: &PlantCheck, config: &RunConfig) -> Result<(), Failure> {
+    let objective = &*config.objective.name;
+    let mut columns =
+        vec!["on plants like this car", objective, "regret", "off the path: mean m", "max m"];
+    if config.is_to_arrive() {
+        columns.push("arrived");
+    }
+    let mut table = table_of(&columns);
     for plant in &it.plants {
         let PlantDrive { name, value, regret, path_mean_m, path_max_m, arrived } = plant;
-        table.add_row([
+        let mut cells = vec![
             name.clone(),
             digits(*value, 4),
             regret.map_or("–".to_owned(), |it| format!("{:.1} %", 100.0 * it)),
             digits(*path_mean_m, 4),
             digits(*path_max_m, 3),
-            if *arrived { "yes" } else { "no" }.to_owned(),
-        ]);
+        ];
+        if config.is_to_arrive() {
+            cells.push(if *arrived { "yes" } else { "no" }.to_owned());
+        }
+        table.add_row(cells);
     }
     say!("\n{table}");
     if it.compared > 0 {
@@ -36,9 +39,13 @@ pub(super) fn print(it: &PlantCheck, objective: &str) -> Result<(), Failure> {
     }
     say!("{}", verdict(it));
     let fresh = &it.fresh;
+    let missing = match fresh.not_arrived {
+        count if count > 0 && config.is_to_arrive() => format!(", {count} did not arrive"),
+        _ => String::new(),
+    };
     say!(
         "on {} more plants like these, which chose nothing: {} m off the path on average at 95 % of them, {} at most; {} \
-         beyond 1 m",
+         beyond 1 m{missing}",
         fresh.plants,
         digits(fresh.path_mean_p95_m, 4),
         digits(fresh.path_mean_max_m, 4),

@@ -237,7 +237,7 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         "{} s driven; it ended {reason}; all figures are of the {poses} poses",
         digits(it.driven_s, 1)
     );
-    say_effort("steering", &it.measures)?;
+    say_effort("steering", &it.measures, config)?;
     if let Some(it) = it.fastest {
         say!(
             "at its fastest {} m/s, where the path says {} m/s",
@@ -259,17 +259,24 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
 }
 
 /// Prints how hard a drive was on wheels and passengers, and how well it kept up with the reference.
-pub(super) fn say_effort(whose: &str, it: &Measures) -> Result<(), Failure> {
+pub(super) fn say_effort(whose: &str, it: &Measures, config: &RunConfig) -> Result<(), Failure> {
+    // A drive that ends by its time ends before the path does.
+    let covered = match config.is_to_arrive() {
+        true => {
+            let percent = 100.0 * it.progress_in_time;
+            format!("; {percent:.1} % of the path covered in the reference's time")
+        }
+        false => String::new(),
+    };
     say!(
         "{whose}: {} rad/s on average, {} at the 95th percentile; lateral acceleration {} m/s² (95 %), {} at most; lateral \
-         jerk {} m/s³ (95 %), {} at most; {:.1} % of the path covered in the reference's time",
+         jerk {} m/s³ (95 %), {} at most{covered}",
         digits(it.steering_travel_radps, 3),
         digits(it.steering_rate_p95_radps, 3),
         digits(it.lateral_acceleration_p95_mps2, 2),
         digits(it.lateral_acceleration_max_mps2, 2),
         digits(it.lateral_jerk_p95_mps3, 1),
         digits(it.lateral_jerk_max_mps3, 1),
-        100.0 * it.progress_in_time,
     );
     Ok(())
 }

@@ -77,10 +77,10 @@ pub(super) fn print(
             config.grid().len()
         ),
     }
-    say_effort("steering of the tuned set", &it.measures)?;
+    say_effort("steering of the tuned set", &it.measures, config)?;
     baselines::print(it, config)?;
     if let Some(check) = &it.plants {
-        plants::print(check, &config.objective.name)?;
+        plants::print(check, config)?;
     }
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");

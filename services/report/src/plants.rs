@@ -1,5 +1,6 @@
 //! The table of plausible plants.
 
+use config::RunConfig;
 use maud::{Markup, html};
 use outcome::PlantCheck;
 
@@ -7,7 +8,8 @@ use crate::axis::number;
 use crate::page::table;
 
 /// What a set does on the plants, and whether it is fragile.
-pub(crate) fn section(it: &PlantCheck, objective: &str) -> Markup {
+pub(crate) fn section(it: &PlantCheck, config: &RunConfig) -> Markup {
+    let (objective, is_to_arrive) = (&*config.objective.name, config.is_to_arrive());
     let fresh = &it.fresh;
     html! {
         p {
@@ -21,7 +23,8 @@ pub(crate) fn section(it: &PlantCheck, objective: &str) -> Markup {
         (table(
             html! { tr {
                 th { "plant" } th.number { (objective) } th.number { "regret [%]" }
-                th.number { "off the path, mean [m]" } th.number { "largest [m]" } th { "arrived" }
+                th.number { "off the path, mean [m]" } th.number { "largest [m]" }
+                @if is_to_arrive { th { "arrived" } }
             } },
             html! {
                 @for plant in &it.plants {
@@ -31,7 +34,7 @@ pub(crate) fn section(it: &PlantCheck, objective: &str) -> Markup {
                         td.number { @match plant.regret { Some(by) => (number(100.0 * by, 1)), None => "–" } }
                         td.number { (number(plant.path_mean_m, 4)) }
                         td.number { (number(plant.path_max_m, 3)) }
-                        td { @if plant.arrived { "yes" } @else { "no" } }
+                        @if is_to_arrive { td { @if plant.arrived { "yes" } @else { "no" } } }
                     }
                 }
             },

@@ -39,7 +39,7 @@ pub(crate) fn sections(
         page.section("Beside textbook sets", baselines::section(beside, train, config));
     }
     if let Some(check) = &train.plants {
-        page.section("On plants like this car", plants::section(check, &config.objective.name));
+        page.section("On plants like this car", plants::section(check, config));
     }
     if let Some(curve) = &train.trade_off {
         let body = baselines::curve(page, curve, train, config)?;
