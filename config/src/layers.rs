@@ -764,4 +764,44 @@ mod tests {
         config.tuner.settings.0.insert("population".to_owned(), Value::Float(2.0));
         crate::validate::validate(&config).unwrap();
     }
+
+    #[test]
+    fn a_tuner_s_setting_must_be_what_its_file_holds() {
+        let of = |set: &str| {
+            let mut layers = Layers::maneuver("lane_change").unwrap();
+            layers.set("learning.tuner=random").unwrap();
+            layers.set(&format!("tuner.settings.{set}"))?;
+            layers.resolve()
+        };
+        for (set, wants) in [
+            ("drives=abc", "must be an integer, but is a string"),
+            ("drives=2.5", "must be an integer, but is a float"),
+            ("drives=0", "is 0, but must lie in [1, 10000]"),
+            ("draw=3", "must be a string, but is an integer"),
+            ("draw=gird", "is \"gird\", and must be one of grid, continuous"),
+        ] {
+            let told = message(of(set));
+            let key = format!("tuner.settings.{}", set.split_once('=').unwrap().0);
+            assert!(told.contains(&key) && told.contains(wants), "{set}: {told}");
+        }
+    }
+
+    /// A configuration that was resolved once, such as that of a run which is resumed, comes without the layers' checks.
+    #[test]
+    fn a_resolved_tuner_s_settings_are_checked_as_well() {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set("learning.tuner=random").unwrap();
+        let config = layers.resolve().unwrap();
+        let text = toml::to_string(&config).unwrap();
+        assert_eq!(RunConfig::from_resolved(&text).unwrap(), config);
+        for (written, wants) in [
+            ("drives = \"abc\"", "is \"abc\", but must be a number in [1, 10000]"),
+            ("drives = 2.5", "is 2.5, but must be a whole number in [1, 10000]"),
+            ("drives = nan", "is NaN, but must lie in [1, 10000]"),
+        ] {
+            let told = message(RunConfig::from_resolved(&text.replace("drives = 60", written)));
+            assert!(told.contains("tuner.settings.drives"), "{written}: {told}");
+            assert!(told.contains(wants), "{written}: {told}");
+        }
+    }
 }

@@ -200,7 +200,7 @@ fn presets(config: &RunConfig) -> Result<(), Problem> {
         }
     }
     law::validate(&config.law)?;
-    tuner(&config.tuner)?;
+    tuner(&config.learning.tuner, &config.tuner)?;
     let limits = &config.objective.limits;
     for (key, limit) in [
         ("steering_travel_price_radps", limits.steering_travel_price_radps),
@@ -232,27 +232,49 @@ fn scales(config: &RunConfig) -> Result<(), Problem> {
     Err((key, problem))
 }
 
-/// Every setting of a tuner that is a number has a range in the tuner's file, and a word is one of those that it names.
-fn tuner(tuner: &TunerConfig) -> Result<(), Problem> {
-    for (name, choices) in &tuner.choices {
-        let word = tuner.settings.0.get(name).and_then(toml::Value::as_str).unwrap_or_default();
-        if !choices.iter().any(|choice| choice == word) {
-            let problem = format!("is {word:?}, and must be one of {}", choices.join(", "));
-            return Err((format!("tuner.settings.{name}"), problem));
+/// Every setting of a tuner that is a number has a range in the tuner's file, and keeps to it; a word is one of those that
+/// the file names. What the file holds as a whole number stays one.
+fn tuner(name: &str, tuner: &TunerConfig) -> Result<(), Problem> {
+    for (setting, choices) in &tuner.choices {
+        let value = tuner.settings.0.get(setting);
+        let word = value.and_then(toml::Value::as_str);
+        if !choices.iter().any(|choice| Some(choice.as_str()) == word) {
+            let found = value.map_or("is missing".to_owned(), |value| format!("is {value}"));
+            let problem = format!("{found}, and must be one of {}", choices.join(", "));
+            return Err((format!("tuner.settings.{setting}"), problem));
         }
     }
-    for (name, value) in &tuner.settings.0 {
-        if !matches!(value, toml::Value::Float(_) | toml::Value::Integer(_)) {
+    for (setting, value) in &tuner.settings.0 {
+        let key = format!("tuner.settings.{setting}");
+        let is_number = matches!(value, toml::Value::Float(_) | toml::Value::Integer(_));
+        let Some([low, high]) = tuner.ranges.get(setting) else {
+            if is_number {
+                let problem =
+                    format!("is missing: the least and the largest value of the setting {setting}");
+                return Err((format!("tuner.ranges.{setting}"), problem));
+            }
             continue;
-        }
-        let Some([low, high]) = tuner.ranges.get(name) else {
-            let problem =
-                format!("is missing: the least and the largest value of the setting {name}");
-            return Err((format!("tuner.ranges.{name}"), problem));
         };
-        within(&format!("tuner.settings.{name}"), tuner.settings.number(name), *low, *high)?;
+        if !is_number {
+            let problem = format!("is {value}, but must be a number in [{low}, {high}]");
+            return Err((key, problem));
+        }
+        let number = tuner.settings.number(setting);
+        within(&key, number, *low, *high)?;
+        if number.fract() != 0.0 && is_whole_number(name, setting) {
+            let problem = format!("is {value}, but must be a whole number in [{low}, {high}]");
+            return Err((key, problem));
+        }
     }
     Ok(())
+}
+
+/// Whether the file of a tuner holds a setting as a whole number.
+fn is_whole_number(tuner: &str, setting: &str) -> bool {
+    let file = crate::presets::preset(&format!("tuners/{tuner}.toml"));
+    let file: Option<toml::Table> = file.and_then(|file| toml::from_str(file.text).ok());
+    let settings = file.as_ref().and_then(|file| file.get("settings")?.as_table());
+    settings.and_then(|it| it.get(setting)).is_some_and(toml::Value::is_integer)
 }
 
 fn learning(config: &RunConfig) -> Result<(), Problem> {

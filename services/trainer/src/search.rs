@@ -5,7 +5,9 @@
 //! whatever the number of learners. Without noise no set is driven twice: a point whose set was driven is answered from
 //! what is known, and costs nothing.
 
+mod cholesky;
 mod cube;
+mod process;
 mod saved;
 mod sobol;
 mod space;
@@ -21,7 +23,9 @@ use crate::digest::add_parameters;
 use crate::packing::{from_bytes, to_bytes};
 use crate::tuners::{Ask, LearnerState, Told, Tuner};
 
+pub(crate) use cholesky::Cholesky;
 pub(crate) use cube::{Cube, Point};
+pub(crate) use process::{Process, Reading, Shape, expected_improvement};
 pub(crate) use sobol::Sobol;
 pub(crate) use space::{Known, Space};
 
@@ -189,10 +193,15 @@ impl<M: Method> Tuner for Search<M> {
     }
 
     fn recommend(&self, order: &dyn Fn(&Parameters, &Parameters) -> Ordering) -> Parameters {
-        let judged = self.method.judged(&self.space);
+        // Of a generation under way, the drives that are over count as well.
+        let mut space = self.space.clone();
+        for Slot { point, value } in &self.slots {
+            value.iter().for_each(|value| space.add(point, *value));
+        }
+        let judged = self.method.judged(&space);
         let best = judged.iter().copied().fold(f64::INFINITY, f64::min);
-        let sets = self.space.known.iter().zip(&judged).filter(|(_, value)| **value == best);
-        let sets = sets.map(|(known, _)| self.space.cube.set(&known.point));
+        let sets = space.known.iter().zip(&judged).filter(|(_, value)| **value == best);
+        let sets = sets.map(|(known, _)| space.cube.set(&known.point));
         sets.min_by(|a, b| order(a, b)).unwrap_or_else(|| self.config.law.defaults())
     }
 

@@ -5,6 +5,7 @@
 
 mod coordinate;
 mod educated_q;
+mod gp;
 mod q;
 mod random;
 mod random_walk;
@@ -146,6 +147,7 @@ tuners! {
     "random" => random,
     "sobol" => sobol,
     "coordinate" => coordinate,
+    "gp" => gp,
 }
 
 #[cfg(test)]

@@ -1,0 +1,228 @@
+//! Bayesian optimisation: a Gaussian process on the logarithm of the objective says which set to drive next, the one that
+//! is expected to improve most on the best so far.
+//!
+//! D. R. Jones, M. Schonlau, W. J. Welch, "Efficient Global Optimization of Expensive Black-Box Functions" (1998). Under
+//! noise the best so far is the least mean of the process at the sets that were driven, and the choice goes by that mean:
+//! never by the luckiest drive.
+
+use config::RunConfig;
+
+use crate::search::{
+    self, Known, Method, Point, Process, Reading, Search, Shape, Space, expected_improvement,
+};
+
+/// A grid with at most so many sets is searched as a whole for the next one; of a larger one, and between the values of a
+/// grid, so many Sobol points.
+const WHOLE_GRID: usize = 2048;
+const CANDIDATES: usize = 768;
+/// Around each of so many of the best sets so many others are candidates as well.
+const BEST: usize = 4;
+const AROUND: usize = 64;
+/// A candidate between the values of a grid is moved by such shares of the axes as long as it becomes better.
+const REFINED_BY: [f64; 4] = [0.05, 0.02, 0.01, 0.004];
+/// The least value that has a logarithm of its own.
+const LEAST: f64 = 1e-9;
+/// Values that lie so many times as far above the median as the least lies below it count as if they lay there: how bad a
+/// bad set is says nothing about the good ones.
+const BAD: f64 = 3.0;
+
+/// The tuner.
+pub(super) fn new(config: &RunConfig) -> Search<Gp> {
+    let setting = |key: &str| config.tuner.settings.number(key) as usize;
+    let (first, together) = (setting("first").max(1), setting("together").max(1));
+    Search::new(config, |space| Gp { first, together, sequence: space.sobol(), next: 0 })
+}
+
+/// The process itself follows from what is known; only the Sobol sequence has a place.
+#[derive(Debug, Clone)]
+pub(crate) struct Gp {
+    /// Sobol points before the process is asked, and sets that are proposed at a time afterwards.
+    first: usize,
+    together: usize,
+    sequence: search::Sobol,
+    next: u32,
+}
+
+impl Method for Gp {
+    fn propose(&mut self, space: &mut Space, room: usize) -> Vec<Point> {
+        let mut points = Vec::new();
+        if space.known.len() < self.first {
+            let count = (self.first - space.known.len()).min(room);
+            for _ in 0..count {
+                let Some(point) = self.new_sobol(space, &points) else { break };
+                points.push(point);
+            }
+            return points;
+        }
+        let mut readings = readings(space);
+        let mut process = Process::new(Shape::of(&readings, space.noise), &readings);
+        for _ in 0..self.together.min(room) {
+            let Some(point) = self.best(space, &process, &points) else { break };
+            if points.len() + 1 < self.together.min(room) {
+                // As if it had been driven and had come to what the process thinks.
+                let value = process.predict(std::slice::from_ref(&point))[0].0;
+                readings.push(Reading { point: point.clone(), value, drives: 1 });
+                process = Process::new(process.shape().clone(), &readings);
+            }
+            points.push(point);
+        }
+        points
+    }
+
+    fn judged(&self, space: &Space) -> Vec<f64> {
+        if !space.noise || space.known.is_empty() {
+            return space.known.iter().map(Known::mean).collect();
+        }
+        let readings = readings(space);
+        let process = Process::new(Shape::of(&readings, true), &readings);
+        means_at_known(space, &process)
+    }
+
+    fn state(&self) -> Vec<f64> {
+        vec![f64::from(self.next)]
+    }
+
+    fn restore(&mut self, state: &[f64]) -> bool {
+        let [next] = state else { return false };
+        self.next = *next as u32;
+        true
+    }
+}
+
+impl Gp {
+    /// The next Sobol point whose set is new.
+    fn new_sobol(&mut self, space: &mut Space, but: &[Point]) -> Option<Point> {
+        for _ in 0..WHOLE_GRID {
+            let point = space.cube.evenly(&self.sequence.point(self.next));
+            self.next = self.next.wrapping_add(1);
+            if space.is_new(&point, but) {
+                return Some(point);
+            }
+        }
+        space.draw_new(but)
+    }
+
+    /// The candidate with the greatest expected improvement that may be driven; `None` if there is none.
+    fn best(&mut self, space: &mut Space, process: &Process, but: &[Point]) -> Option<Point> {
+        let judged = if space.noise {
+            means_at_known(space, process)
+        } else {
+            space.known.iter().map(log_mean).collect()
+        };
+        let least = judged.iter().copied().fold(f64::INFINITY, f64::min);
+        let mut candidates = self.candidates(space, &judged);
+        candidates.retain(|point| {
+            if space.noise { !space.holds(but, point) } else { space.is_new(point, but) }
+        });
+        let (mut at, mut score) = best_of(process, least, candidates)
+            .or_else(|| Some((space.draw_new(but)?, Score::default())))?;
+        if space.cube.len().is_none() {
+            for span in REFINED_BY {
+                let moved = (0..at.len()).flat_map(|axis| [(axis, span), (axis, -span)]);
+                let moved = moved.map(|(axis, by)| {
+                    let mut point = at.clone();
+                    point[axis] = (point[axis] + by).clamp(0.0, 1.0);
+                    point
+                });
+                let moved = moved.filter(|it| space.noise || space.is_new(it, but)).collect();
+                match best_of(process, least, moved) {
+                    Some((point, better)) if better.is_above(&score) => {
+                        (at, score) = (point, better)
+                    }
+                    _ => {}
+                }
+            }
+        }
+        Some(at)
+    }
+
+    /// The sets among which the next one is chosen.
+    fn candidates(&mut self, space: &mut Space, judged: &[f64]) -> Vec<Point> {
+        if let Some(count) = space.cube.len().filter(|count| *count <= WHOLE_GRID) {
+            return (0..count).map(|it| space.cube.numbered(it)).collect();
+        }
+        let mut candidates: Vec<Point> = (0..CANDIDATES as u32)
+            .map(|it| space.cube.evenly(&self.sequence.point(self.next.wrapping_add(it))))
+            .collect();
+        self.next = self.next.wrapping_add(CANDIDATES as u32);
+        let mut order: Vec<usize> = (0..judged.len()).collect();
+        order.sort_by(|a, b| judged[*a].total_cmp(&judged[*b]));
+        for at in order.into_iter().take(BEST) {
+            let centre = space.known[at].point.clone();
+            for number in 0..AROUND {
+                // From far to near, one coordinate after the other or all of them.
+                let span = libm::exp2(-1.0 - (number % 8) as f64 * 0.75);
+                let only = (number / 8 % 2 == 0).then(|| space.rng.below(centre.len()));
+                let moved = centre.iter().enumerate().map(|(axis, it)| {
+                    let by = span * (2.0 * space.rng.uniform() - 1.0);
+                    if only.is_none_or(|only| only == axis) { it + by } else { *it }
+                });
+                let moved: Vec<f64> = moved.collect();
+                candidates.push(space.cube.nearest(&moved));
+            }
+        }
+        candidates
+    }
+}
+
+/// How good a candidate is: by its expected improvement, and where that is too small for a number, by how far the best
+/// so far lies above its mean, in standard deviations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Score {
+    improvement: f64,
+    deviations: f64,
+}
+
+impl Default for Score {
+    fn default() -> Self {
+        Self { improvement: 0.0, deviations: f64::NEG_INFINITY }
+    }
+}
+
+impl Score {
+    fn is_above(&self, other: &Self) -> bool {
+        let by = self.improvement.total_cmp(&other.improvement);
+        by.then(self.deviations.total_cmp(&other.deviations)).is_gt()
+    }
+}
+
+/// The first of the candidates with the best score.
+fn best_of(process: &Process, least: f64, candidates: Vec<Point>) -> Option<(Point, Score)> {
+    let predicted = process.predict(&candidates);
+    let mut best: Option<(usize, Score)> = None;
+    for (number, (mean, sd)) in predicted.into_iter().enumerate() {
+        let improvement = expected_improvement(least, (mean, sd));
+        let deviations = (least - mean) / sd.max(1e-12);
+        let score = Score { improvement, deviations };
+        if best.as_ref().is_none_or(|(_, best)| score.is_above(best)) {
+            best = Some((number, score));
+        }
+    }
+    let (number, score) = best?;
+    candidates.into_iter().nth(number).map(|point| (point, score))
+}
+
+fn log_mean(known: &Known) -> f64 {
+    libm::log(known.mean().max(LEAST))
+}
+
+/// What is known, as the process sees it.
+fn readings(space: &Space) -> Vec<Reading> {
+    let values: Vec<f64> = space.known.iter().map(log_mean).collect();
+    let mut sorted = values.clone();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let (least, median) = (sorted[0], sorted[sorted.len() / 2]);
+    let cap = median + BAD * (median - least);
+    let each = space.known.iter().zip(values);
+    each.map(|(it, value)| Reading {
+        point: it.point.clone(),
+        value: if cap > least { value.min(cap) } else { value },
+        drives: it.drives,
+    })
+    .collect()
+}
+
+fn means_at_known(space: &Space, process: &Process) -> Vec<f64> {
+    let points: Vec<Point> = space.known.iter().map(|it| it.point.clone()).collect();
+    process.predict(&points).into_iter().map(|(mean, _)| mean).collect()
+}
