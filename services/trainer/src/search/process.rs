@@ -247,6 +247,7 @@ pub(crate) fn expected_improvement(best: f64, (mean, sd): (f64, f64)) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rng::Stream;
     use crate::search::Sobol;
 
     fn wave(point: &[f64]) -> f64 {
@@ -294,16 +295,12 @@ mod tests {
 
     #[test]
     fn noise_is_told_from_shape() {
-        // The same smooth function with and without noise of ± 0.5: with it, the readings are not believed exactly.
-        let smooth = readings(40);
-        let noisy: Vec<Reading> = smooth
-            .iter()
-            .enumerate()
-            .map(|(at, it)| Reading {
-                value: it.value + if at % 2 == 0 { 0.5 } else { -0.5 },
-                ..it.clone()
-            })
-            .collect();
+        // Readings that are off by 0.5 up or down, by chance, are not believed exactly.
+        let (smooth, mut stream) = (readings(40), Stream::new(9, 0));
+        let off = |it: &Reading, by: f64| Reading { value: it.value + by, ..it.clone() };
+        let noisy =
+            smooth.iter().map(|it| off(it, if stream.uniform() < 0.5 { 0.5 } else { -0.5 }));
+        let noisy: Vec<Reading> = noisy.collect();
         let process = Process::new(Shape::of(&noisy, true), &noisy);
         let points: Vec<Point> = smooth.iter().map(|it| it.point.clone()).collect();
         let off = process.predict(&points).into_iter().zip(&smooth);

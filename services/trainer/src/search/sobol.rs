@@ -119,4 +119,45 @@ mod tests {
         assert_eq!(point(2), [0.25, 0.75, 0.75, 0.75]);
         assert_eq!(point(3), [0.75, 0.25, 0.25, 0.25]);
     }
+
+    #[test]
+    fn each_polynomial_is_primitive_and_each_first_number_odd_and_small() {
+        for (degree, coefficients, first) in TABLE {
+            // x^degree + … + 1, its coefficients as bits. It is primitive if the powers of x meet 1 no earlier than
+            // after 2^degree − 1 steps.
+            let polynomial = 1 << degree | coefficients << 1 | 1;
+            let (mut power, mut order) = (1u32, 0);
+            loop {
+                power <<= 1;
+                if power >> degree & 1 == 1 {
+                    power ^= polynomial;
+                }
+                order += 1;
+                if power <= 1 {
+                    break;
+                }
+            }
+            assert_eq!((power, order), (1, (1 << degree) - 1), "{polynomial:b}");
+            assert_eq!(first.len(), degree as usize);
+            assert!(first.iter().enumerate().all(|(at, it)| it % 2 == 1 && *it < 2 << at));
+        }
+    }
+
+    /// Sobol's property A, which the published numbers have in every dimension: of 2^d points in d dimensions, each
+    /// halving of all axes holds one.
+    #[test]
+    fn each_part_of_the_cube_halved_along_all_axes_holds_one_point() {
+        for dimensions in 1..=16 {
+            let directions: Vec<[u32; 32]> = (0..dimensions).map(directions).collect();
+            let mut held = vec![false; 1 << dimensions];
+            for index in 0..1u32 << dimensions {
+                let half = |directions: &[u32; 32]| {
+                    let bits = (0..dimensions).filter(|bit| index >> bit & 1 == 1);
+                    bits.fold(0, |sum, bit| sum ^ directions[bit]) >> 31
+                };
+                let part = directions.iter().fold(0, |part, it| part << 1 | half(it));
+                assert!(!std::mem::replace(&mut held[part as usize], true), "{dimensions}");
+            }
+        }
+    }
 }

@@ -226,3 +226,93 @@ fn means_at_known(space: &Space, process: &Process) -> Vec<f64> {
     let points: Vec<Point> = space.known.iter().map(|it| it.point.clone()).collect();
     process.predict(&points).into_iter().map(|(mean, _)| mean).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use config::{Layers, Parameters};
+    use tracking::DriveRecord;
+
+    use crate::rng::Stream;
+    use crate::tuners::{Ask, Tuner};
+    use crate::{by_values, tuners};
+
+    fn config(sets: &[&str]) -> config::RunConfig {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set("learning.tuner=gp").unwrap();
+        sets.iter().for_each(|set| layers.set(set).unwrap());
+        layers.resolve().unwrap()
+    }
+
+    /// A bowl with its least value, 0.5, off the middle.
+    fn bowl(set: &Parameters) -> f64 {
+        let off = [(3.0, 3.0), (16.0, 20.0), (6.0, 20.0), (0.8, 0.28)];
+        let each = off.iter().zip(set.0).map(|((best, width), it)| ((it - best) / width).powi(2));
+        0.5 + each.sum::<f64>()
+    }
+
+    /// Lets a tuner drive to its end; returns the sets in their order.
+    fn drive(tuner: &mut dyn Tuner, mut value: impl FnMut(&Ask) -> f64) -> Vec<Parameters> {
+        let mut driven = Vec::new();
+        while !tuner.is_finished() {
+            for learner in 0..tuner.learners() {
+                let Some(ask) = tuner.wanted(learner) else { continue };
+                driven.push(ask.parameters);
+                tuner.tell(&ask, &DriveRecord::default(), value(&ask));
+            }
+        }
+        driven
+    }
+
+    #[test]
+    fn a_bowl_s_best_set_is_found_in_few_drives_none_of_them_twice() {
+        for (sets, within) in [
+            (&["tuner.settings.drives=30"][..], 1.0),
+            (&["tuner.settings.drives=30", "tuner.settings.together=5"], 1.0),
+            (&["tuner.settings.drives=30", "tuner.settings.draw=continuous"], 1.02),
+        ] {
+            let config = config(sets);
+            let grid = config.grid();
+            let least =
+                grid.positions().map(|it| bowl(&grid.set(it))).fold(f64::INFINITY, f64::min);
+            let mut tuner = tuners::tuner("gp", &config);
+            let driven = drive(&mut *tuner, |ask| bowl(&ask.parameters));
+            assert_eq!(driven.len(), 30);
+            let mut bits: Vec<_> = driven.iter().map(Parameters::to_bits).collect();
+            bits.sort_unstable();
+            bits.dedup();
+            assert_eq!(bits.len(), 30, "a set was driven twice");
+            let found = bowl(&tuner.recommend(&by_values));
+            assert!(found <= within * least, "{sets:?}: {found}, and the least is {least}");
+        }
+    }
+
+    #[test]
+    fn a_grid_is_driven_to_its_end_and_no_further() {
+        let few =
+            ["kv", "kl", "ks"].map(|key| format!("grid.{key}={{min = 1, max = 1, step = 1}}"));
+        let mut sets: Vec<&str> = few.iter().map(String::as_str).collect();
+        sets.push("tuner.settings.drives=100");
+        let config = config(&sets);
+        let driven = drive(&mut *tuners::tuner("gp", &config), |ask| bowl(&ask.parameters));
+        assert_eq!(driven.len(), config.grid().len());
+    }
+
+    #[test]
+    fn under_noise_the_luckiest_drive_is_not_what_is_recommended() {
+        let config = config(&["noise.enabled=true", "tuner.settings.drives=60"]);
+        let mut noise = Stream::new(5, 5);
+        let mut luckiest = (f64::INFINITY, Parameters::default());
+        let mut tuner = tuners::tuner("gp", &config);
+        drive(&mut *tuner, |ask| {
+            // One drive in ten is very lucky.
+            let lucky = if noise.uniform() < 0.1 { 0.5 } else { 1.0 + 0.2 * noise.uniform() };
+            let value = bowl(&ask.parameters) * lucky;
+            if value < luckiest.0 {
+                luckiest = (value, ask.parameters);
+            }
+            value
+        });
+        let [found, lucky] = [tuner.recommend(&by_values), luckiest.1].map(|it| bowl(&it));
+        assert!(found < 0.65, "{found}; the luckiest {lucky}");
+    }
+}
