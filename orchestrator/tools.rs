@@ -2,7 +2,7 @@
 
 use crate::identify;
 use monitor::MonitorError;
-use orchestrator::cli::{MonitorArgs, RecordArgs, ReplayArgs};
+use orchestrator::cli::{CompareArgs, MonitorArgs, RecordArgs, ReplayArgs};
 use orchestrator::runs::{LivingRun, living_run};
 use orchestrator::words::{Failure, print_line};
 use orchestrator::{Services, Tools, commands};
@@ -10,6 +10,7 @@ use replayer::reviewer::Outcome;
 
 pub(crate) const TOOLS: Tools = Tools {
     report: |folder| report::write_report(folder).map_err(|why| why.to_string()),
+    compare,
     study: |table| report::write_study(table).map_err(|why| why.to_string()),
     monitor: look,
     record,
@@ -17,6 +18,20 @@ pub(crate) const TOOLS: Tools = Tools {
     certify: crate::certify::certify,
     identify: identify::identify,
 };
+
+/// Compares tuners.
+fn compare(args: &CompareArgs) -> Result<(), Failure> {
+    let configs = commands::compare_configs(args)?;
+    let seeds = u64::from(args.seeds);
+    let tell = |tuner: &str, done| {
+        if done == seeds {
+            commands::tell_compared(args, tuner);
+        }
+    };
+    let compared =
+        trainer::compare::compare(&configs, seeds, args.drives, tell).map_err(Failure::User)?;
+    commands::print_comparison(args, &compared.result, &compared.rows)
+}
 
 /// Watches a living run.
 fn look(args: MonitorArgs) -> Result<(), Failure> {

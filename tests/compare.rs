@@ -15,12 +15,17 @@ fn stdout(sandbox: &Sandbox, args: &[&str]) -> String {
 #[test]
 fn tuners_are_compared_with_the_same_bytes_each_time() {
     let sandbox = Sandbox::new();
-    let args = ["compare", "lane_change", "--tuners", "gp,random,q", "--seeds", "3", "--drives", "12"];
+    let args =
+        ["compare", "lane_change", "--tuners", "gp,random,q", "--seeds", "3", "--drives", "12"];
     let json = stdout(&sandbox, &[&args[..], &["--json"]].concat());
     assert_eq!(stdout(&sandbox, &[&args[..], &["--json", "--quiet"]].concat()), json);
     let result: Value = serde_json::from_str(&json).unwrap();
-    let names: Vec<&str> =
-        result["tuners"].as_array().unwrap().iter().map(|it| it["tuner"].as_str().unwrap()).collect();
+    let names: Vec<&str> = result["tuners"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|it| it["tuner"].as_str().unwrap())
+        .collect();
     assert_eq!(names, ["gp", "random", "q"]);
     assert_eq!(result["tuners"][0]["after"][1]["drives"], 12);
 
@@ -50,7 +55,10 @@ fn what_cannot_be_compared_is_told_in_a_line() {
         (&["lane_change", "--tuners", "gp", "--drives", "301"], "[1, 300]"),
         (&["lane_change", "--tuners", "q", "--continuous"], "keeps to the grid"),
         (&["lane_change", "--tuners", "gp", "--set", "ranking.max_ticks=1"], "ranking.max_ticks"),
-        (&["lane_change", "--tuners", "gp", "--set", "tuner.settings.first=2.5"], "tuner.settings.first"),
+        (
+            &["lane_change", "--tuners", "gp", "--set", "tuner.settings.first=2.5"],
+            "tuner.settings.first",
+        ),
         (&[], "name a manoeuvre"),
     ] {
         let output = sandbox.run(&[&["compare"], args].concat());

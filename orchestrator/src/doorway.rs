@@ -8,7 +8,9 @@ use clap::error::ErrorKind;
 use runtime::limits;
 
 use crate::bench::bench;
-use crate::cli::{CertifyArgs, Cli, Command, IdentifyArgs, MonitorArgs, RecordArgs, ReplayArgs};
+use crate::cli::{
+    CertifyArgs, Cli, Command, CompareArgs, IdentifyArgs, MonitorArgs, RecordArgs, ReplayArgs,
+};
 use crate::commands;
 use crate::conformance::conformance;
 use crate::pipeline::services::Services;
@@ -32,6 +34,8 @@ pub struct House {
 pub struct Tools {
     /// Draws the report of the run in a folder; returns the path of its page.
     pub report: fn(&Path) -> Result<PathBuf, String>,
+    /// Compares tuners by plain calls: no pipeline, no run.
+    pub compare: fn(&CompareArgs) -> Result<(), Failure>,
     /// Draws the page of a study beside the table of its jobs; returns the page's path.
     pub study: fn(&Path) -> Result<PathBuf, String>,
     /// Watches a living run.
@@ -97,6 +101,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Drive(args) => commands::drive(&args, services).and_then(draw),
         Command::Rearm { run, vehicle } => commands::rearm(run.name(), vehicle),
         Command::Grid(args) => commands::grid(&args, services).and_then(draw),
+        Command::Compare(args) => (tools.compare)(&args),
         Command::Sweep(command) => sweep(&command, services, tools.study),
         Command::Report { run } => report(&run, tools),
         Command::Record(args) => (tools.record)(&args),

@@ -1,5 +1,6 @@
 //! The command line.
 
+mod compare;
 mod excite;
 mod identify;
 mod sweep;
@@ -12,6 +13,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::StartAt;
 
+pub use compare::CompareArgs;
 pub use excite::ExciteArgs;
 pub use identify::{CommandType, IdentifyArgs};
 pub use sweep::{EngineArgs, KubernetesArgs, RunJobsArgs, SlurmArgs, StudyArg, SweepCommand};
@@ -46,6 +48,8 @@ pub enum Command {
     },
     /// Drive every gain set of the grid, and report the best, how flat the optimum is, and which gain matters
     Grid(Box<GridArgs>),
+    /// Compare tuners over many seeds: how many drives they need, and how good the sets are that they recommend
+    Compare(Box<CompareArgs>),
     /// Run a study of many trainings, on this machine or with the engine of a cluster
     #[command(subcommand)]
     Sweep(SweepCommand),

@@ -2,6 +2,7 @@
 //! ones.
 
 mod certify;
+mod compare;
 mod drive;
 mod excite;
 mod gains;
@@ -14,6 +15,7 @@ mod sweep;
 mod train;
 
 pub use certify::{Certifiable, certifiable};
+pub use compare::{compare_configs, print_comparison, tell_compared};
 pub use identify::{Identified, conclude, roll_back, vehicle_of};
 pub use replay::{replay, replay_config};
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use config::launch::{Launch, Role};
-use config::{Layers, RunConfig, SweepKind, SweepPlan, read_small};
+use config::{Layers, RunConfig, StartAt, SweepKind, SweepPlan, read_small};
 use runtime::Wait;
 use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
@@ -19,16 +19,47 @@ use crate::runs::{folder, preflight};
 use crate::words::terminal::tell;
 use crate::words::{Failure, known};
 
+/// Where the keys of a configuration come from, in the order in which they are laid upon each other but for the path.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sources<'a> {
+    pub(crate) path: Option<&'a Path>,
+    pub(crate) vehicle: Option<&'a str>,
+    pub(crate) law: Option<&'a str>,
+    pub(crate) objective: Option<&'a str>,
+    pub(crate) config: Option<&'a Path>,
+    pub(crate) laps: Option<u32>,
+    pub(crate) start: Option<StartAt>,
+    pub(crate) set: &'a [String],
+    pub(crate) quiet: bool,
+}
+
+impl<'a> From<&'a SetupArgs> for Sources<'a> {
+    fn from(args: &'a SetupArgs) -> Self {
+        Self {
+            path: args.path.as_deref(),
+            vehicle: args.vehicle.as_deref(),
+            law: args.law.as_deref(),
+            objective: args.objective.as_deref(),
+            config: args.config.as_deref(),
+            laps: args.laps,
+            start: args.start,
+            set: &args.set,
+            quiet: args.quiet,
+        }
+    }
+}
+
 /// The layers that every command shares: manoeuvre or own path, file, vehicle, law, objective, single keys.
-pub(crate) fn layers(
+pub(crate) fn layers<'a>(
     maneuver: Option<&str>,
-    args: &SetupArgs,
+    args: impl Into<Sources<'a>>,
     tuner: Option<&str>,
 ) -> Result<Layers, Failure> {
-    let mut layers = match (maneuver, &args.path) {
+    let args = args.into();
+    let mut layers = match (maneuver, args.path) {
         (Some(maneuver), _) => Layers::maneuver(maneuver)?,
         (None, Some(_)) => Layers::own_path(),
-        (None, None) => match &args.config {
+        (None, None) => match args.config {
             // A resolved configuration names its own manoeuvre.
             Some(file) => Layers::of_document(&read(file, "--config")?)?,
             None => {
@@ -38,16 +69,16 @@ pub(crate) fn layers(
         },
     };
     // Before the user's file and single keys, which may set what belongs to them, such as a grid or settings.
-    let chosen = Chosen { law: args.law.as_deref(), objective: args.objective.as_deref(), tuner };
+    let chosen = Chosen { law: args.law, objective: args.objective, tuner };
     chosen.choose(&mut layers)?;
-    if let Some(file) = &args.config {
+    if let Some(file) = args.config {
         let (origin, text) = (file.display().to_string(), read(file, "--config")?);
         folder::refuse_earlier(&origin, &text)?;
         layers.add_document(&origin, &text)?;
         // An option counts more than a file that names another one.
         chosen.choose(&mut layers)?;
     }
-    if let Some(vehicle) = &args.vehicle {
+    if let Some(vehicle) = args.vehicle {
         layers.set_vehicle("--vehicle", vehicle)?;
     }
     // Keys that are derived from the path's length can still be overridden by hand.
@@ -59,7 +90,7 @@ pub(crate) fn layers(
     if let Some(laps) = args.laps {
         layers.put("--laps", "path.laps", i64::from(laps))?;
     }
-    if let Some(path) = &args.path {
+    if let Some(path) = args.path {
         layers.add_path_from(path, args.start)?;
     }
     for assignment in after {

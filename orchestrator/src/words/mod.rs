@@ -1,6 +1,7 @@
 //! What is said to the user: lines, tables, and how a command failed.
 
 mod baselines;
+pub(crate) mod comparison;
 pub(crate) mod failure;
 mod laps;
 mod plants;

@@ -7,6 +7,7 @@
 //! `pathtune schema --result` prints the doc comments of the fields.
 
 mod baselines;
+mod comparison;
 mod drive;
 mod file;
 mod grid;
@@ -24,6 +25,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use baselines::{Baseline, Baselines, TradeOff, TradedSet};
+pub use comparison::{
+    AfterDrives, CompareResult, CompareRow, DrivesTo, Quantile, Share, TunerComparison,
+};
 pub use drive::{Fastest, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};

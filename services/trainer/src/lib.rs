@@ -10,6 +10,7 @@
 mod baselines;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod checkpoint;
+pub mod compare;
 mod digest;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod grid;

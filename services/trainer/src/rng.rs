@@ -32,6 +32,12 @@ impl Stream {
         (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
 
+    /// Normally distributed, by G. E. P. Box and M. E. Muller; one of the two that their method gives is left.
+    pub(crate) fn normal(&mut self) -> f64 {
+        let far = (-2.0 * libm::log(1.0 - self.uniform())).sqrt();
+        far * libm::cos(2.0 * std::f64::consts::PI * self.uniform())
+    }
+
     /// Uniform among the first `count` numbers; `count` is small, so the bias is far below 2⁻⁵⁰.
     pub(crate) fn below(&mut self, count: usize) -> usize {
         ((u128::from(self.0.next_u64()) * count as u128) >> 64) as usize
@@ -64,6 +70,17 @@ mod tests {
     }
 
     const FIRST_DRAWN: [u64; 3] = [4600543922235128406, 4598984558295872832, 4605365254607385758];
+
+    #[test]
+    fn normal_numbers_have_the_moments_of_their_distribution() {
+        let mut stream = Stream::new(3, 0);
+        let drawn: Vec<f64> = (0..20_000).map(|_| stream.normal()).collect();
+        let moment = |power: i32| drawn.iter().map(|it| it.powi(power)).sum::<f64>() / 20_000.0;
+        let off = [moment(1), moment(2) - 1.0, moment(3), moment(4) - 3.0];
+        // Four standard errors of each.
+        let bounds = [0.0283, 0.04, 0.11, 0.28];
+        assert!(off.iter().zip(bounds).all(|(off, bound)| off.abs() < bound), "{off:?}");
+    }
 
     #[test]
     fn drives_have_seeds_of_their_own() {

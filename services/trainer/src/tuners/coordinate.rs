@@ -1,14 +1,17 @@
 //! Coordinate search: one parameter after the other is tried at several values, and keeps the best. Once a round over all
-//! parameters has changed nothing, the search starts again from a set drawn at random.
+//! parameters has changed nothing, the search starts again from the best set with half of its parameters drawn anew. It
+//! starts first in the middle.
 
 use config::RunConfig;
 
-use crate::search::{Method, Point, Search, Space};
+use crate::search::{Known, Method, Point, Search, Space};
 
 /// An axis of the grid with at most so many values is tried at all of them.
 const ALL: usize = 9;
 /// Otherwise it is tried at so many values on each side, over a span that becomes half as long with each round.
 const EACH_SIDE: i32 = 3;
+/// How often a start near the best set is drawn, until it is new.
+const TRIES: usize = 20;
 /// The least span, as a share of the axis.
 const LEAST_SPAN: f64 = 1.0 / 128.0;
 
@@ -45,12 +48,12 @@ impl Coordinate {
             has_improved: false,
             tried: Vec::new(),
         };
-        it.start(space);
+        it.start(space.cube.nearest(&vec![0.5; dimensions]), space);
         it
     }
 
-    fn start(&mut self, space: &mut Space) {
-        self.at = space.draw_new(&[]).unwrap_or_else(|| space.draw());
+    fn start(&mut self, at: Point, space: &mut Space) {
+        self.at = at;
         (self.value, self.span) = (f64::INFINITY, 1.0);
         self.start_round(space);
     }
@@ -64,6 +67,26 @@ impl Coordinate {
     }
 }
 
+/// The best set so far with half of its parameters drawn anew; a set drawn at random if none of those is new.
+fn near_best(space: &mut Space) -> Point {
+    let better = |a: &&Known, b: &&Known| a.mean().total_cmp(&b.mean());
+    let Some(best) = space.known.iter().min_by(better).map(|it| it.point.clone()) else {
+        return space.draw();
+    };
+    for _ in 0..TRIES {
+        let (mut point, drawn) = (best.clone(), space.draw());
+        let mut axes: Vec<usize> = (0..point.len()).collect();
+        for _ in 0..point.len().div_ceil(2) {
+            let axis = axes.swap_remove(space.rng.below(axes.len()));
+            point[axis] = drawn[axis];
+        }
+        if space.is_new(&point, &[]) {
+            return point;
+        }
+    }
+    space.draw_new(&[]).unwrap_or_else(|| space.draw())
+}
+
 impl Method for Coordinate {
     fn propose(&mut self, space: &mut Space, _room: usize) -> Vec<Point> {
         if self.done == self.order.len() {
@@ -73,7 +96,8 @@ impl Method for Coordinate {
             if self.has_improved || (!is_fine && self.span >= LEAST_SPAN) {
                 self.start_round(space);
             } else {
-                self.start(space);
+                let at = near_best(space);
+                self.start(at, space);
             }
         }
         let axis = self.order[self.done];

@@ -3,6 +3,8 @@
 //! A tuner is a file of this folder with its row in the table below, and a file of `config/tuners` that says what it is
 //! and holds its settings. Memory, journal, finalists and ranking are outside the tuners, and serve all of them.
 
+mod cem;
+mod cmaes;
 mod coordinate;
 mod educated_q;
 mod gp;
@@ -148,6 +150,8 @@ tuners! {
     "sobol" => sobol,
     "coordinate" => coordinate,
     "gp" => gp,
+    "cem" => cem,
+    "cmaes" => cmaes,
 }
 
 #[cfg(test)]

@@ -1,0 +1,107 @@
+//! The table of `pathtune compare`.
+
+use outcome::{CompareResult, CompareRow, Quantile, Share};
+
+use crate::words::Failure;
+use crate::words::tables::table_of;
+use crate::words::terminal::say;
+
+/// Prints a comparison.
+pub(crate) fn print(it: &CompareResult) -> Result<(), Failure> {
+    let noise = if it.noise { "with noise" } else { "without noise" };
+    say!(
+        "{}, {}, {}, law {}: {} trainings with each tuner, {} drives in each; in brackets 95 % intervals",
+        it.maneuver,
+        it.vehicle,
+        noise,
+        it.law,
+        it.seeds,
+        it.drives
+    );
+    say!("");
+    let header = [
+        "drives to a set",
+        "within 2 % of the best: median",
+        "95 % of seeds",
+        "in the top 1 %: median",
+        "95 % of seeds",
+        "seeds that reached it",
+    ];
+    let mut table = table_of(&header);
+    for tuner in &it.tuners {
+        let (near, top) = (&tuner.to_within_2_percent, &tuner.to_top_1_percent);
+        let drives = |quantile: &Quantile| drives(quantile, it.drives);
+        table.add_row([
+            tuner.tuner.clone(),
+            drives(&near.median),
+            drives(&near.q95),
+            drives(&top.median),
+            drives(&top.q95),
+            percent(&top.reached),
+        ]);
+    }
+    say!("{table}");
+    say!("");
+    let mut header = vec!["recommended, above the best".to_owned()];
+    for after in it.tuners.iter().take(1).flat_map(|it| &it.after) {
+        header.push(format!("after {}: median", after.drives));
+        header.push("95 % of seeds".to_owned());
+        header.push("within 5 %".to_owned());
+    }
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let mut table = table_of(&header);
+    for tuner in &it.tuners {
+        let mut cells = vec![tuner.tuner.clone()];
+        for after in &tuner.after {
+            cells.push(regret(&after.regret_median));
+            cells.push(regret(&after.regret_q95));
+            cells.push(percent(&after.within_5_percent));
+        }
+        table.add_row(cells);
+    }
+    say!("{table}");
+    say!("");
+    let best: Vec<String> =
+        it.best_gains.iter().map(|(key, value)| format!("{key} {value}")).collect();
+    say!("the best set: {}; {} {:.4}", best.join(", "), it.objective, it.best_value);
+    if it.noise {
+        say!("a set's true value is its mean over {} drives that no tuner saw", it.drives_of_truth);
+    }
+    Ok(())
+}
+
+/// A row for each training.
+pub(crate) fn csv(it: &CompareResult, rows: &[CompareRow]) -> String {
+    let marks = it.tuners.iter().take(1).flat_map(|it| &it.after);
+    let marks: String = marks.map(|it| format!(",regret_after_{}", it.drives)).collect();
+    let mut text = format!("tuner,seed,drives_to_within_2_percent,drives_to_top_1_percent{marks}");
+    for row in rows {
+        let drives = |drives: Option<u32>| drives.map_or(String::new(), |it| it.to_string());
+        let regret: String = row.regret.iter().map(|it| format!(",{it}")).collect();
+        let [near, top] = [row.to_within_2_percent, row.to_top_1_percent].map(drives);
+        text += &format!("\n{},{},{near},{top}{regret}", row.tuner, row.seed);
+    }
+    text
+}
+
+/// `9 [8, 11]`; what lies beyond the budget as `> 60`.
+fn drives(it: &Quantile, budget: u32) -> String {
+    let one = |value: Option<f64>| value.map_or(format!("> {budget}"), |it| it.to_string());
+    match (it.value, it.low) {
+        (None, None) => one(None),
+        _ => format!("{} [{}, {}]", one(it.value), one(it.low), one(it.high)),
+    }
+}
+
+/// `3.1 % [2.0, 4.4]`; an end that the seeds do not tell as a dash.
+fn regret(it: &Quantile) -> String {
+    let one =
+        |value: Option<f64>| value.map_or("–".to_owned(), |it| format!("{:.1}", 100.0 * it));
+    format!("{} % [{}, {}]", one(it.value), one(it.low), one(it.high))
+}
+
+/// `92 % [88, 95]`.
+fn percent(it: &Share) -> String {
+    let [share, low, high] = [it.share, it.low, it.high].map(|it| format!("{:.0}", 100.0 * it));
+    format!("{share} % [{low}, {high}]")
+}

@@ -1,0 +1,373 @@
+//! Tuners compared: the same manoeuvre, budget and seeds for each, by plain calls.
+//!
+//! A set's true value is that of its noise-free drive; under noise, the mean over drives that no tuner sees. A tuner is
+//! judged by two things: when it first drives a set that is truly good, and how good the set truly is that it recommends
+//! after some drives. Never by the luckiest value that it saw.
+
+mod quantiles;
+
+use std::collections::HashMap;
+
+use config::{MAX_PARAMETERS, Parameters, RunConfig};
+use outcome::{AfterDrives, CompareResult, CompareRow, DrivesTo, SCHEMA, TunerComparison};
+use rollout::Rollout;
+use tracking::{DriveRecord, Objective};
+
+use crate::training::by_values;
+use crate::tuners::Ask;
+use crate::{Ranking, Training, grid_is_driven};
+use quantiles::{quantile, share};
+
+/// Drives of which a true value is the mean under noise.
+const DRIVES_OF_TRUTH: u64 = 32;
+/// The first noise seed of these drives. Those of a training are hashes, and fall in here as good as never.
+const FIRST_SEED_OF_TRUTH: u64 = 1 << 62;
+/// Drives after which it is asked what a tuner recommends, as far as the budget reaches; and after the last one.
+const MARKS: [u32; 4] = [10, 20, 30, 60];
+
+/// A comparison, and each of its trainings.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Compared {
+    /// What is printed.
+    pub result: CompareResult,
+    /// The trainings: tuner by tuner, seed by seed.
+    pub rows: Vec<CompareRow>,
+}
+
+/// Compares the tuners of some configurations that differ in nothing else, each with `seeds` seeds from `run.seed` on and
+/// `drives` drives. Tells `each` what is under way, and how many of its seeds are done.
+///
+/// # Errors
+/// If the grid takes so long that it is not driven: then no set is known to be the best.
+///
+/// # Panics
+/// If there is no configuration.
+pub fn compare(
+    configs: &[RunConfig],
+    seeds: u64,
+    drives: u32,
+    mut each: impl FnMut(&str, u64),
+) -> Result<Compared, String> {
+    let config = &configs[0];
+    if !grid_is_driven(config) {
+        return Err(format!(
+            "ranking.max_ticks: is {}, but the grid of {} sets takes {} ticks; raise it, or use larger steps",
+            config.ranking.max_ticks,
+            config.grid().len(),
+            config.ticks() * config.grid().len() as u64
+        ));
+    }
+    let marks: Vec<u32> = MARKS.into_iter().filter(|mark| *mark < drives).chain([drives]).collect();
+    let mut yardstick = Yardstick::new(config);
+    let mut courses: Vec<Vec<Course>> = Vec::new();
+    for config in configs {
+        let mut of_tuner = Vec::new();
+        for number in 0..seeds {
+            each(&config.learning.tuner, number);
+            let mut config = config.clone();
+            config.run.seed = config.run.seed.wrapping_add(number);
+            of_tuner.push(yardstick.train(&config, drives as usize, &marks));
+        }
+        each(&config.learning.tuner, seeds);
+        courses.push(of_tuner);
+    }
+    let (best_value, best) = yardstick.best;
+    let goals = [1.02 * best_value, yardstick.top_percent()];
+    let mut rows = Vec::new();
+    let mut tuners = Vec::new();
+    for (config, courses) in configs.iter().zip(&courses) {
+        let of_tuner: Vec<CompareRow> = (0u64..)
+            .zip(courses)
+            .map(|(number, course)| CompareRow {
+                tuner: config.learning.tuner.clone(),
+                seed: config.run.seed.wrapping_add(number),
+                to_within_2_percent: course.drives_to(goals[0]),
+                to_top_1_percent: course.drives_to(goals[1]),
+                regret: course.recommended.iter().map(|it| it / best_value - 1.0).collect(),
+            })
+            .collect();
+        tuners.push(summary(&config.learning.tuner, &of_tuner, &marks));
+        rows.extend(of_tuner);
+    }
+    let result = CompareResult {
+        schema: SCHEMA,
+        maneuver: config.maneuver.clone(),
+        vehicle: config.vehicle.name.clone(),
+        law: config.law.name.clone(),
+        objective: config.objective.name.clone(),
+        first_seed: config.run.seed,
+        seeds,
+        drives,
+        noise: config.noise.enabled,
+        drives_of_truth: if config.noise.enabled { DRIVES_OF_TRUTH } else { 1 },
+        grid_size: yardstick.of_grid.len(),
+        best_value,
+        best_gains: config.law.named(&best),
+        tuners,
+    };
+    Ok(Compared { result, rows })
+}
+
+fn summary(tuner: &str, rows: &[CompareRow], marks: &[u32]) -> TunerComparison {
+    let seeds = rows.len() as u64;
+    let drives_to = |goal: fn(&CompareRow) -> Option<u32>| {
+        let drives: Vec<f64> =
+            rows.iter().map(|row| goal(row).map_or(f64::INFINITY, f64::from)).collect();
+        DrivesTo {
+            reached: share(drives.iter().filter(|it| it.is_finite()).count() as u64, seeds),
+            median: quantile(&drives, 0.5),
+            q95: quantile(&drives, 0.95),
+        }
+    };
+    let after = |(place, mark): (usize, &u32)| {
+        let regret: Vec<f64> = rows.iter().map(|row| row.regret[place]).collect();
+        AfterDrives {
+            drives: *mark,
+            regret_median: quantile(&regret, 0.5),
+            regret_q95: quantile(&regret, 0.95),
+            within_5_percent: share(regret.iter().filter(|it| **it <= 0.05).count() as u64, seeds),
+        }
+    };
+    TunerComparison {
+        tuner: tuner.to_owned(),
+        to_within_2_percent: drives_to(|row| row.to_within_2_percent),
+        to_top_1_percent: drives_to(|row| row.to_top_1_percent),
+        after: marks.iter().enumerate().map(after).collect(),
+    }
+}
+
+/// The true values of what one training drove, in the order of its drives, and of what it recommended at each mark.
+struct Course {
+    driven: Vec<f64>,
+    recommended: Vec<f64>,
+}
+
+impl Course {
+    fn drives_to(&self, goal: f64) -> Option<u32> {
+        self.driven.iter().position(|value| *value <= goal).map(|before| before as u32 + 1)
+    }
+}
+
+/// The true values of sets.
+struct Yardstick {
+    noise: bool,
+    rollout: Rollout,
+    ranking: Ranking,
+    objective: Objective,
+    of_grid: Vec<f64>,
+    /// Those of sets between those of the grid, as far as they were needed.
+    others: HashMap<[u64; MAX_PARAMETERS], f64>,
+    best: (f64, Parameters),
+}
+
+impl Yardstick {
+    fn new(config: &RunConfig) -> Self {
+        let ranking = Ranking::by_rollout(config);
+        let mut it = Self {
+            noise: config.noise.enabled,
+            rollout: Rollout::new(config),
+            objective: *ranking.objective(),
+            ranking,
+            of_grid: Vec::new(),
+            others: HashMap::new(),
+            best: (f64::INFINITY, Parameters::default()),
+        };
+        let grid = config.grid();
+        for position in grid.positions() {
+            let value = it.measure(&grid.set(position));
+            it.of_grid.push(value);
+        }
+        it
+    }
+
+    /// The value of the worst set among the best 1 % of the grid.
+    fn top_percent(&self) -> f64 {
+        let mut sorted = self.of_grid.clone();
+        sorted.sort_unstable_by(f64::total_cmp);
+        sorted[(sorted.len() / 100).max(1) - 1]
+    }
+
+    fn place_of(&self, set: &Parameters) -> Option<usize> {
+        let grid = self.ranking.grid();
+        let position = grid.find(set)?;
+        (grid.set(position) == *set).then(|| grid.index(position))
+    }
+
+    /// Reads the true value of a set.
+    fn measure(&mut self, set: &Parameters) -> f64 {
+        let value = if self.noise {
+            let seeds = FIRST_SEED_OF_TRUTH..FIRST_SEED_OF_TRUTH + DRIVES_OF_TRUTH;
+            let values = seeds.map(|seed| self.objective.of(&self.rollout.drive(*set, Some(seed))));
+            values.sum::<f64>() / DRIVES_OF_TRUTH as f64
+        } else {
+            let drive = self.noise_free(set);
+            self.objective.of(&drive)
+        };
+        if value < self.best.0 {
+            self.best = (value, *set);
+        }
+        value
+    }
+
+    fn noise_free(&mut self, set: &Parameters) -> DriveRecord {
+        match self.place_of(set) {
+            Some(_) => self.ranking.drive(set),
+            None => self.rollout.drive(*set, None),
+        }
+    }
+
+    fn truth(&mut self, set: &Parameters) -> f64 {
+        if let Some(value) = self.place_of(set).and_then(|place| self.of_grid.get(place)) {
+            return *value;
+        }
+        if let Some(value) = self.others.get(&set.to_bits()) {
+            return *value;
+        }
+        let value = self.measure(set);
+        self.others.insert(set.to_bits(), value);
+        value
+    }
+
+    fn drive(&mut self, ask: &Ask) -> DriveRecord {
+        if self.noise {
+            return self.rollout.drive(ask.parameters, Some(ask.seed));
+        }
+        self.noise_free(&ask.parameters)
+    }
+
+    /// One training, until it ends or its budget does.
+    fn train(&mut self, config: &RunConfig, drives: usize, marks: &[u32]) -> Course {
+        let mut training = Training::new(config, self.objective);
+        let mut course = Course { driven: Vec::new(), recommended: Vec::new() };
+        'drives: loop {
+            training.remember(usize::MAX, |_| {});
+            let wanted = training.wanted();
+            if wanted.is_empty() {
+                break;
+            }
+            for ask in wanted {
+                if course.driven.len() == drives {
+                    break 'drives;
+                }
+                let drive = self.drive(&ask);
+                training.take(ask.learner, ask.step, drive);
+                course.driven.push(self.truth(&ask.parameters));
+                if marks.get(course.recommended.len()) == Some(&(course.driven.len() as u32)) {
+                    let set = training.tuner().recommend(&by_values);
+                    course.recommended.push(self.truth(&set));
+                }
+            }
+        }
+        // One that ended early recommends the same ever after.
+        let set = training.tuner().recommend(&by_values);
+        let value = self.truth(&set);
+        course.recommended.resize(marks.len(), value);
+        course
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use config::Layers;
+
+    fn configs(tuners: &[&str], sets: &[&str]) -> Vec<RunConfig> {
+        let config = |tuner: &&str| {
+            let mut layers = Layers::maneuver("lane_change").unwrap();
+            layers.set(&format!("learning.tuner={tuner}")).unwrap();
+            sets.iter().for_each(|set| layers.set(set).unwrap());
+            layers.resolve().unwrap()
+        };
+        tuners.iter().map(config).collect()
+    }
+
+    /// The figures of a tuner by hand: `PATHTUNE_COMPARE='roundabout gp,random 200 60'`, with what follows as `--set`.
+    #[test]
+    fn figures_by_hand() {
+        let Ok(words) = std::env::var("PATHTUNE_COMPARE") else { return };
+        let words: Vec<&str> = words.split_whitespace().collect();
+        let config = |tuner: &str| {
+            let mut layers = Layers::maneuver(words[0]).unwrap();
+            layers.set(&format!("learning.tuner={tuner}")).unwrap();
+            words[4..].iter().for_each(|set| layers.set(set).unwrap());
+            let config = layers.clone().resolve().unwrap();
+            if config.tuner.settings.0.contains_key("drives") {
+                layers.set(&format!("tuner.settings.drives={}", words[3])).unwrap();
+            }
+            layers.resolve().unwrap()
+        };
+        let configs: Vec<RunConfig> = words[1].split(',').map(config).collect();
+        let compared =
+            compare(&configs, words[2].parse().unwrap(), words[3].parse().unwrap(), |_, _| {});
+        for it in compared.unwrap().result.tuners {
+            for (name, it) in [("2 %", it.to_within_2_percent), ("top 1 %", it.to_top_1_percent)] {
+                let of =
+                    |it: outcome::Quantile| format!("{:?} [{:?}, {:?}]", it.value, it.low, it.high);
+                println!(
+                    "  {name}: {} | {} | {:.3} [{:.3}, {:.3}]",
+                    of(it.median),
+                    of(it.q95),
+                    it.reached.share,
+                    it.reached.low,
+                    it.reached.high
+                );
+            }
+            println!("{}", it.tuner);
+            for it in it.after {
+                println!(
+                    "  after {}: regret {:?} {:?} within 5 % {:.3} [{:.3}, {:.3}]",
+                    it.drives,
+                    it.regret_median,
+                    it.regret_q95,
+                    it.within_5_percent.share,
+                    it.within_5_percent.low,
+                    it.within_5_percent.high
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_comparison_gives_the_same_bytes_and_counts_distinct_drives() {
+        let tuners = ["random", "gp", "educated-q"];
+        let configs = configs(&tuners, &[]);
+        let mut told = Vec::new();
+        let compared =
+            compare(&configs, 4, 12, |tuner, done| told.push((tuner.to_owned(), done))).unwrap();
+        assert_eq!(compare(&configs, 4, 12, |_, _| {}).unwrap(), compared);
+        assert_eq!(told.len(), 3 * 5);
+        let result = &compared.result;
+        assert_eq!(result.grid_size, configs[0].grid().len());
+        assert_eq!(compared.rows.len(), 12);
+        for (it, name) in result.tuners.iter().zip(tuners) {
+            assert_eq!(it.tuner, name);
+            assert_eq!(it.after.iter().map(|it| it.drives).collect::<Vec<_>>(), [10, 12]);
+        }
+        for row in &compared.rows {
+            assert!(row.regret.iter().all(|it| *it >= 0.0));
+            assert!(row.to_top_1_percent.is_none_or(|it| (1..=12).contains(&it)));
+            // Without noise a set that was driven within 2 % of the best is what is recommended, if not by Q-learning.
+            if row.tuner != "educated-q" && row.to_within_2_percent.is_some() {
+                assert!(row.regret[1] <= 0.02, "{row:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn under_noise_a_set_s_true_value_is_no_value_that_a_tuner_saw() {
+        let configs = configs(
+            &["random"],
+            &["noise.enabled=true", "grid.kl={min=1,max=1,step=1}", "grid.ks={min=1,max=1,step=1}"],
+        );
+        let compared = compare(&configs, 2, 9, |_, _| {}).unwrap();
+        assert_eq!(compared.result.drives_of_truth, DRIVES_OF_TRUTH);
+        assert!(compared.rows.iter().all(|row| row.regret.iter().all(|it| *it >= 0.0)));
+    }
+
+    #[test]
+    fn a_grid_that_is_not_driven_is_no_yardstick() {
+        let told = compare(&configs(&["random"], &["ranking.max_ticks=1000"]), 2, 5, |_, _| {});
+        let why = told.unwrap_err();
+        assert!(why.contains("ranking.max_ticks") && why.contains("750 sets"), "{why}");
+    }
+}
