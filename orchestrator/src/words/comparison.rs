@@ -62,7 +62,7 @@ pub(crate) fn print(it: &CompareResult) -> Result<(), Failure> {
     say!("{table}");
     say!("");
     let best: Vec<String> =
-        it.best_gains.iter().map(|(key, value)| format!("{key} {value}")).collect();
+        it.best_gains.0.iter().map(|(key, value)| format!("{key} {value}")).collect();
     say!("the best set: {}; {} {:.4}", best.join(", "), it.objective, it.best_value);
     if it.noise {
         say!("a set's true value is its mean over {} drives that no tuner saw", it.drives_of_truth);
