@@ -34,8 +34,8 @@ struct Belief {
 /// Lengths around half of an axis.
 const LENGTH: Belief = Belief { mean: -0.7, sd: 0.8, bounds: [-3.0, 2.3] };
 /// Without noise: what the kernel cannot follow, such as the steps of a manoeuvre that ends earlier or later.
-const ROUGHNESS: Belief = Belief { mean: -9.2, sd: 2.0, bounds: [-13.8, -2.3] };
-const NOISE: Belief = Belief { mean: -2.3, sd: 2.0, bounds: [-9.2, 2.3] };
+const ROUGHNESS: Belief = Belief { mean: -6.5, sd: 2.0, bounds: [-13.8, -2.3] };
+const NOISE: Belief = Belief { mean: -3.5, sd: 2.0, bounds: [-9.2, 2.3] };
 /// Steps of the search for a shape, as logarithms.
 const STEPS: [f64; 6] = [1.2, 0.6, 0.6, 0.3, 0.3, 0.15];
 /// Readings by which a shape is chosen, at most.
