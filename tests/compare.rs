@@ -52,7 +52,7 @@ fn what_cannot_be_compared_is_told_in_a_line() {
     for (args, part) in [
         (&["lane_change", "--tuners", "gp,sarsa"][..], "--tuners sarsa"),
         (&["lane_change", "--tuners", "gp,gp"], "names gp twice"),
-        (&["lane_change", "--tuners", "gp", "--drives", "301"], "[1, 300]"),
+        (&["lane_change", "--tuners", "gp", "--drives", "201"], "[1, 200]"),
         (&["lane_change", "--tuners", "q", "--continuous"], "keeps to the grid"),
         (&["lane_change", "--tuners", "gp", "--set", "ranking.max_ticks=1"], "ranking.max_ticks"),
         (
