@@ -264,12 +264,12 @@ mod tests {
     }
 
     #[test]
-    fn a_smooth_function_is_predicted_from_thirty_points_and_its_readings_exactly() {
+    fn a_smooth_function_is_predicted_from_thirty_points_and_its_readings_are_believed() {
         let readings = readings(30);
         let process = Process::new(Shape::of(&readings, false), &readings);
         let points: Vec<Point> = readings.iter().map(|it| it.point.clone()).collect();
         for ((mean, sd), reading) in process.predict(&points).into_iter().zip(&readings) {
-            assert!((mean - reading.value).abs() < 1e-3 && sd < 0.02, "{mean} ± {sd}");
+            assert!((mean - reading.value).abs() < 0.02 && sd < 0.05, "{mean} ± {sd}");
         }
         let others: Vec<Point> = (100..200).map(|it| Sobol::new(vec![3, 4]).point(it)).collect();
         let within =
