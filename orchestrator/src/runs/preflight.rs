@@ -155,13 +155,13 @@ pub(crate) fn check_resources(max_len: usize) -> Result<(), Failure> {
 
 /// The same for as many pipelines at once, their main memory included.
 pub(crate) fn check_resources_of_pipelines(count: usize, max_len: usize) -> Result<(), Failure> {
-    let who = format!("{count} jobs at once");
+    let who = if count == 1 { "a job".to_owned() } else { format!("running {count} jobs at once") };
     check_limits()?;
     check_shared_memory(&who, count as u64 * needed_bytes(max_len), "take a smaller -j")?;
     let needed = count as u64 * PIPELINE_BYTES;
     match free_memory() {
         Some(free) if free < needed => Err(Failure::User(format!(
-            "memory is short: {who} need {} MiB, and {} MiB are free; end other programs, or take a smaller -j",
+            "memory is short: {who} needs {} MiB, and {} MiB are free; end other programs, or take a smaller -j",
             needed.div_ceil(1 << 20),
             free >> 20,
         ))),
@@ -169,7 +169,7 @@ pub(crate) fn check_resources_of_pipelines(count: usize, max_len: usize) -> Resu
     }
 }
 
-/// Main memory that a pipeline and its orchestrator use besides shared memory: twice what was found.
+/// Main memory that a pipeline and its orchestrator use besides shared memory: more than twice what was found.
 const PIPELINE_BYTES: u64 = 128 << 20;
 
 /// Bytes of main memory that programs may still take, as far as this machine tells: those of the system, or of the control

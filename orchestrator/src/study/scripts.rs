@@ -187,7 +187,7 @@ pub(crate) fn kubernetes(args: &KubernetesArgs) -> Result<String, Failure> {
     let name = if name.is_empty() { "study" } else { &name };
     Ok(format!(
         r#"# {jobs} jobs, one pod each. The claim holds the study's manifest and the files that it names; results go there, too.
-# Hand in with: kubectl apply -f THIS_FILE
+# Kubernetes 1.29 or newer. Hand in with: kubectl apply -f THIS_FILE
 apiVersion: batch/v1
 kind: Job
 metadata:
