@@ -11,7 +11,7 @@ use toml::{Table, Value};
 
 /// The axes besides `set` and `seed`, in the order in which they are combined, with the option of `train` that each is.
 /// The manoeuvre has none: it is the first word.
-const AXES: [(&str, &str); 11] = [
+const AXES: [(&str, &str); 13] = [
     ("maneuver", ""),
     ("path", "--path"),
     ("vehicle", "--vehicle"),
@@ -20,13 +20,15 @@ const AXES: [(&str, &str); 11] = [
     ("tuner", "--tuner"),
     ("config", "--config"),
     ("noise", "--noise"),
+    ("over", "--over"),
+    ("over_by", "--over-by"),
     ("episodes", "--episodes"),
     ("drives", "--drives"),
     ("fleet", "--fleet"),
 ];
 
 /// Axes whose value is, or may be, the name of a file.
-const FILES: [&str; 4] = ["path", "vehicle", "law", "config"];
+const FILES: [&str; 5] = ["path", "vehicle", "law", "config", "over"];
 
 /// What `set` axes are called in tables of results: this and the key.
 const SET: &str = "set.";
@@ -415,6 +417,10 @@ mod tests {
             ]
         );
         assert_eq!(commands("[[jobs]]\nmaneuver = 'circuit'"), ["train circuit"]);
+        let over =
+            "[[jobs]]\nmaneuver = 'circuit'\nover = ['default', 'p.toml']\nover_by = 'worst'";
+        let words = |plants: &str| format!("train circuit --over {plants} --over-by worst");
+        assert_eq!(commands(over), [words("default"), words("/s/p.toml")]);
     }
 
     #[test]
