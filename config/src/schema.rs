@@ -608,7 +608,13 @@ pub struct Robust {
     pub engage_gear: bool,
     pub finalists: u32,
     pub repeats: u32,
+    #[serde(default = "fresh_drives")]
+    pub fresh: u32,
     pub holdout: u32,
+}
+
+fn fresh_drives() -> u32 {
+    30
 }
 
 /// The keys that differ from run to run.

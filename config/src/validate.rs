@@ -49,6 +49,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     whole("ranking.repeats", c.ranking.repeats.into(), 1, 1000)?;
     whole("robust.finalists", c.robust.finalists.into(), 1, 1000)?;
     whole("robust.repeats", c.robust.repeats.into(), 2, 1000)?;
+    whole("robust.fresh", c.robust.fresh.into(), 2, 1000)?;
     whole("robust.holdout", c.robust.holdout.into(), 1, 10_000)?;
     path(c)?;
     presets(c)?;

@@ -182,12 +182,14 @@ fn print_choice_by_means(
     let objective = &config.objective.name;
     let under_noise = if config.noise.enabled { "under noise: " } else { "" };
     say!(
-        "{under_noise}mean {objective} {} [{}, {}] over {} drives, the best of {} sets driven again",
+        "{under_noise}mean {objective} {} [{}, {}] over {} drives{}; it was the best of {} sets in {} drives each",
         digits(chosen.mean_value, 4),
         digits(chosen.low, 4),
         digits(chosen.high, 4),
         noise.repeats,
+        if config.noise.enabled { " that chose nothing" } else { "" },
         noise.finalists.len(),
+        noise.choosing,
     );
     if config.noise.enabled && config.vehicle.gear_engaged {
         say!("all drives, noise-free ones too, began with the drive gear engaged");

@@ -206,11 +206,14 @@ pub struct Usage {
 /// How the set was chosen by means over several drives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NoiseChoice {
-    /// Drives of each finalist.
+    /// Drives of each finalist over which means, intervals and differences are taken; under noise none of them chose.
     pub repeats: u64,
+    /// Drives of each finalist by which one was chosen.
+    #[serde(default)]
+    pub choosing: u64,
     /// Noise seeds over which the chosen set is ranked.
     pub holdout: u32,
-    /// The sets that were driven again, best mean first; the first one is chosen.
+    /// The sets that were driven again, in the order of the drives that chose; the first one is chosen.
     pub finalists: Vec<Finalist>,
     /// The chosen set against the one that the tuner recommends by single drives.
     pub against_recommended: Comparison,
@@ -226,7 +229,7 @@ pub struct Finalist {
     pub gains: NamedParameters,
     /// Mean of the objective over its drives.
     pub mean_value: f64,
-    /// Lower end of the mean's 95 % bootstrap interval.
+    /// Lower end of the mean's 95 % interval, by Student's t.
     pub low: f64,
     /// Its upper end.
     pub high: f64,

@@ -383,9 +383,12 @@ fn finalists(
     };
     Ok(html! {
         p {
-            "Each finalist was driven again" @if is_noisy { " under noise" } ", " (integer(noise.repeats)) " times"
+            "Each finalist was driven again" @if is_noisy { " under noise" } ", " (integer(noise.choosing)) " times"
             @if is_noisy { ", each time with the same noise for all of them" }
             ", and the set with the best mean was chosen."
+            @if is_noisy {
+                " The figures below are of " (integer(noise.repeats)) " further drives of each, which chose nothing."
+            }
             @if has_rank { " Its rank by the mean is over " (integer(noise.holdout.into())) " other noise seeds." }
             @if is_noisy {
                 " The drive gear was engaged from the start, unless the configuration says otherwise; therefore even the "

@@ -1,8 +1,9 @@
 //! The choice by means instead of single drives: under noise, and with a vehicle that does not repeat itself.
 //!
-//! One such drive says little about a set. So the sets whose drives in the training have the best mean are
-//! driven again, each with the same noise seeds if there is noise. The set with the best mean of these drives is chosen, and compared
-//! with others by the differences between drives with the same seed.
+//! One such drive says little about a set. So the sets whose drives in the training have the best mean are driven again,
+//! each with the same noise seeds if there is noise, and the set with the best mean of these drives is chosen. A mean that
+//! was chosen for being the best is too good. Under noise, therefore, what is told of the sets comes from further drives,
+//! which chose nothing: means, intervals, and the differences between drives with the same seed.
 
 use config::{Parameters, RunConfig};
 use outcome::{Comparison, Finalist, NoiseChoice};
@@ -11,6 +12,7 @@ use tracking::{DriveRecord, Objective};
 
 use crate::Training;
 use crate::result::Choice;
+use crate::rng::drive_seed;
 use crate::statistics::{Estimate, mean};
 use crate::sweep::PlannedDrive;
 use crate::training::by_values;
@@ -22,8 +24,12 @@ pub struct Finalists {
     /// The set that the tuner recommends on the basis of single drives.
     recommended: Parameters,
     paper: Option<Parameters>,
+    /// Drives of a set that choose.
     repeats: u64,
+    /// Drives behind them that only tell; 0 without noise, where the vehicle's time is dear and all drives tell.
+    fresh: u64,
     noise: bool,
+    seed: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,16 +60,18 @@ impl Finalists {
             }
         }
         let (repeats, noise) = (config.robust.repeats.into(), config.noise.enabled);
-        Self { sets, recommended, paper, repeats, noise }
+        let fresh = if noise { config.robust.fresh.into() } else { 0 };
+        Self { sets, recommended, paper, repeats, fresh, noise, seed: config.run.seed }
     }
 
-    /// The drives that decide: set by set, each with the noise seeds 1, 2, … if there is noise.
+    /// The drives: set by set, first those that choose, then those that only tell. If there is noise, it is the same for
+    /// all sets, and another one for each seed of a run.
     pub fn drives(&self) -> Vec<PlannedDrive> {
         let of_set = |set: &Visited| {
             let by_zone = vec![set.parameters];
-            (1..=self.repeats).map(move |seed| PlannedDrive {
+            (0..self.repeats + self.fresh).map(move |drive| PlannedDrive {
                 by_zone: by_zone.clone(),
-                seed: self.noise.then_some(seed),
+                seed: self.noise.then(|| drive_seed(self.seed, FINALISTS, drive as u32)),
                 record: None,
             })
         };
@@ -77,13 +85,17 @@ impl Finalists {
         objective: &Objective,
         records: &[DriveRecord],
     ) -> Choice {
-        let values: Vec<Vec<f64>> = records
-            .chunks(self.repeats as usize)
+        let all: Vec<Vec<f64>> = records
+            .chunks((self.repeats + self.fresh) as usize)
             .map(|drives| drives.iter().map(|drive| objective.of(drive)).collect())
             .collect();
+        let choosing = |index: usize| &all[index][..self.repeats as usize];
+        // Those that tell: all of them, if no others follow.
+        let told = if self.fresh > 0 { self.repeats as usize } else { 0 };
+        let values: Vec<&[f64]> = all.iter().map(|it| &it[told..]).collect();
         // Only sets that the training has visited may be chosen; the others are there for comparison.
         let mut order: Vec<usize> = (0..self.sets.len()).collect();
-        let cost = |index: usize| (self.sets[index].visits == 0, mean(&values[index]));
+        let cost = |index: usize| (self.sets[index].visits == 0, mean(choosing(index)));
         order.sort_by(|a, b| {
             let (a, b) = (cost(*a), cost(*b));
             a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
@@ -91,7 +103,7 @@ impl Finalists {
         let chosen = order[0];
         let compare = |parameters: Parameters| {
             let other = self.sets.iter().position(|set| set.parameters == parameters)?;
-            let difference = Estimate::of_difference(&values[chosen], &values[other]);
+            let difference = Estimate::of_difference(values[chosen], values[other]);
             Some(Comparison {
                 gains: config.law.named(&parameters),
                 difference: difference.mean,
@@ -101,12 +113,13 @@ impl Finalists {
             })
         };
         let by_means = NoiseChoice {
-            repeats: self.repeats,
+            repeats: values[chosen].len() as u64,
+            choosing: self.repeats,
             holdout: config.robust.holdout,
             finalists: order
                 .iter()
                 .map(|&index| {
-                    let Estimate { mean: mean_value, low, high } = Estimate::of(&values[index]);
+                    let Estimate { mean: mean_value, low, high } = Estimate::of(values[index]);
                     let Visited { parameters, visits } = self.sets[index];
                     let gains = config.law.named(&parameters);
                     Finalist { gains, mean_value, low, high, visits }
@@ -119,6 +132,9 @@ impl Finalists {
         Choice { parameters, by_means: Some(by_means), rank_mean: None }
     }
 }
+
+/// What stands for the learner in the seeds of the finalists' noise; no learner has this number.
+const FINALISTS: u32 = u32::MAX;
 
 /// The first of the noise seeds that were not used before: far from those of the finalists (1, 2, …), and not among
 /// those of a training, which are scattered over 64 bits.

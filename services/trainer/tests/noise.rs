@@ -10,8 +10,6 @@ use trainer::{Finalists, objective_of, rank_mean, train_by_rollout};
 fn noisy_roundabout() -> RunConfig {
     let mut layers = Layers::maneuver("roundabout").unwrap();
     layers.set("noise.enabled=true").unwrap();
-    // As `train --noise` does.
-    layers.set("vehicle.gear_engaged=true").unwrap();
     layers.resolve().unwrap()
 }
 
