@@ -1,10 +1,10 @@
 //! What a set does on plausible plants.
 
-use config::RunConfig;
+use config::{NamedParameters, RunConfig};
 use outcome::{PlantCheck, PlantDrive};
 
 use crate::words::Failure;
-use crate::words::tables::{digits, or_dash, table_of};
+use crate::words::tables::{digits, or_dash, table_of, trim};
 use crate::words::terminal::say;
 
 /// Prints a set's drives on the plants, and whether it is fragile.
@@ -54,13 +54,20 @@ pub(super) fn print(it: &PlantCheck, config: &RunConfig) -> Result<(), Failure> 
     if let Some(other) = &it.alternative {
         say!(
             "steadier over these plants: {} with {objective} {} at worst instead of {}, and {} with the vehicle's file",
-            other.gains,
+            named(&other.gains),
             digits(other.worst_value, 4),
             digits(it.worst_value, 4),
             or_dash(Some(other.value), 4),
         );
     }
     Ok(())
+}
+
+/// A set with its names, as short as tables show it.
+pub(super) fn named(set: &NamedParameters) -> String {
+    let pairs: Vec<String> =
+        set.0.iter().map(|(name, value)| format!("{name}={}", trim(*value))).collect();
+    pairs.join(", ")
 }
 
 /// Whether the set is fragile, and why.

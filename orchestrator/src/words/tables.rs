@@ -103,7 +103,7 @@ fn print_validation(it: &ValidateResult, config: &RunConfig) -> Result<(), Failu
     say!("worst and mean of {} drives{of_paper}", it.repeats);
     for row in &it.rows {
         if let Some(check) = &row.plants {
-            let set: Vec<String> = row.gains.iter().map(ToString::to_string).collect();
+            let set: Vec<String> = row.gains.iter().map(plants::named).collect();
             say!("{}: {}", set.join(" / "), plants::verdict(check));
         }
     }

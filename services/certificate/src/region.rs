@@ -404,6 +404,8 @@ mod tests {
         assert_eq!(refused(&|it| it.equilibrium.lead_m *= 1.1), Refusal::OtherEquilibrium);
         assert_eq!(refused(&|it| it.equilibrium.curvature = 0.05), Refusal::OtherEquilibrium);
         assert!(matches!(refused(&|it| it.intervals.speed = 0.3), Refusal::Rises { of: 96, .. }));
+        // Wheels that stand still where their rate is limited bring nothing back.
+        assert!(matches!(refused(&|it| it.held = [0.0; 4]), Refusal::Rises { of: 96, .. }));
         let rate = Car { steering_rate_radps: 0.5, ..car() };
         assert_eq!(check(&rate, &LANE, &region), Err(Refusal::Exceeds("the steering rate")));
         let angle = Car { steering_limit_rad: 0.01, ..car() };

@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use outcome::PlantCheck;
 
 use crate::axis::number;
-use crate::page::table;
+use crate::page::{parameters_text, table};
 
 /// What a set does on the plants, and whether it is fragile.
 pub(crate) fn section(it: &PlantCheck, config: &RunConfig) -> Markup {
@@ -52,7 +52,7 @@ pub(crate) fn section(it: &PlantCheck, config: &RunConfig) -> Markup {
         }
         @if let Some(other) = &it.alternative {
             p {
-                "Steadier over these plants: " (other.gains.to_string()) ", at worst " (number(other.worst_value, 4))
+                "Steadier over these plants: " (parameters_text(&config.law, &other.gains)) ", at worst " (number(other.worst_value, 4))
                 " instead of " (number(it.worst_value, 4)) ", and " (number(other.value, 4)) " with the vehicle’s file."
             }
         }
