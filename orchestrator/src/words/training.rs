@@ -79,8 +79,11 @@ pub(super) fn print(
     }
     say_effort("steering of the tuned set", &it.measures, config)?;
     baselines::print(it, config)?;
-    if let Some(check) = &it.plants {
-        plants::print(check, config)?;
+    match &it.plants {
+        Some(check) => plants::print(check, config)?,
+        None => say!(
+            "not driven on plants like this car: only our simulator can be one, so whether the set is fragile is not known"
+        ),
     }
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");
