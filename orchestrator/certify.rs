@@ -5,12 +5,13 @@ use std::io::Write;
 use std::path::Path;
 
 use certificate::{
-    AtSpeed, CLAIM, Certificate, Certified, Extent, FRAGILE_BELOW_S, LARGEST_LEVEL, Subject,
+    AtSpeed, CLAIM, Certificate, Certified, Extent, FRAGILE_BELOW_S, Gains, LARGEST_LEVEL,
+    LateralLoop, Subject,
 };
-use config::read_small;
+use config::{Advance, Parameters, RunConfig, read_small};
 use orchestrator::cli::CertifyArgs;
 use orchestrator::commands::{Certifiable, certifiable};
-use orchestrator::words::{Failure, print_line, print_table};
+use orchestrator::words::{Failure, Margin, print_line, print_table};
 use serde_json::json;
 
 /// Certifies, or verifies a certificate; returns whether what was to be verified holds.
@@ -52,8 +53,20 @@ pub(crate) fn certify(args: &CertifyArgs) -> Result<bool, Failure> {
     Ok(true)
 }
 
+/// How much later the steering may act, at the highest speed of the path's reference.
+pub(crate) fn margin(config: &RunConfig, set: &Parameters) -> Option<Margin> {
+    let subject = Subject::new(config, std::slice::from_ref(set)).ok()?;
+    let speed_mps = own_speed(config);
+    let lateral = match config.reference.advance {
+        Advance::Time => LateralLoop::steady(subject.car(), &Gains::new(set), speed_mps),
+        Advance::Projection => return None,
+    };
+    let additional_dead_time_s = lateral.additional_dead_time_s();
+    Some(Margin { speed_mps, additional_dead_time_s, fragile_below_s: FRAGILE_BELOW_S })
+}
+
 /// The highest speed of the path's reference.
-fn own_speed(config: &config::RunConfig) -> f64 {
+fn own_speed(config: &RunConfig) -> f64 {
     config.path.speeds_mps.iter().copied().reduce(f64::max).unwrap_or(config.reference.speed_mps)
 }
 

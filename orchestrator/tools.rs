@@ -14,6 +14,7 @@ pub(crate) const TOOLS: Tools = Tools {
     monitor: look,
     record,
     replay,
+    margin: crate::certify::margin,
     certify: crate::certify::certify,
     identify: identify::identify,
 };

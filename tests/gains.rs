@@ -71,6 +71,13 @@ fn gains_are_promoted_listed_shown_and_driven() {
     assert!(promoted.status.success(), "{}", stderr(&promoted));
     let bounds = result["on_bound"].as_array().unwrap();
     assert_eq!(stderr(&promoted).contains("warning: on a bound"), !bounds.is_empty());
+    let said = String::from_utf8_lossy(&promoted.stdout);
+    assert!(said.contains("additional dead time at 1.5 m/s: "), "{said}");
+    // It is that of the car which is to drive with them.
+    let late = format!("steering_delay_s = 1.0\nsteering_lag_s = 1.0\n{CAR}");
+    fs::write(sandbox.path("late.toml"), late).unwrap();
+    let late = sandbox.run(&["gains", "promote", "first", "late.toml", "--dry-run"]);
+    assert!(late.status.success() && stderr(&late).contains("are unstable at 1.5 m/s"), "{late:?}");
     let text = fs::read_to_string(sandbox.path("car.toml")).unwrap();
     assert!(text.starts_with(CAR), "{text}");
     let set = &car(&sandbox).gains["lane_change"];

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::ErrorKind;
+use config::{Parameters, RunConfig};
 use runtime::limits;
 
 use crate::bench::bench;
@@ -16,7 +17,7 @@ use crate::runs::EndedRun;
 use crate::runs::folder::refuse_earlier_run;
 use crate::runs::result::name_files;
 use crate::study::sweep;
-use crate::words::{Failure, print_failure, print_line, print_usage_error};
+use crate::words::{Failure, Margin, print_failure, print_line, print_usage_error};
 
 /// What the binary hands in: the parts that link services, which this library does not.
 #[derive(Debug, Clone, Copy)]
@@ -40,6 +41,8 @@ pub struct Tools {
     pub record: fn(&RecordArgs) -> Result<(), Failure>,
     /// Replays a recording; returns whether nothing differed.
     pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
+    /// How much later the steering may act, with these parameters in this configuration; `None` where nothing is known.
+    pub margin: fn(&RunConfig, &Parameters) -> Option<Margin>,
     /// Says what is certain of gains; returns whether what it was to verify holds.
     pub certify: fn(&CertifyArgs) -> Result<bool, Failure>,
     /// Identifies a car from recorded drives.
@@ -116,7 +119,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Schema(args) => commands::print_schema(&args),
         Command::Excite(args) => commands::excite(&args, services).and_then(draw),
         Command::Identify(args) => (tools.identify)(&args),
-        Command::Gains(command) => commands::gains(&command),
+        Command::Gains(command) => commands::gains(&command, tools.margin),
         Command::Service { name, words } => services.run(&name, &words),
     }
     .map(|()| true)

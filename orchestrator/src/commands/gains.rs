@@ -5,7 +5,8 @@ use std::path::Path;
 
 use config::promote::{self, changes, geometry_difference, large_changes, rollback_place};
 use config::{
-    LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset, read_small,
+    LawConfig, Layers, NamedParameters, Parameters, Provenance, RunConfig, TunedGains, Vehicle,
+    law_preset, read_small,
 };
 use outcome::{OUTCOME_FILE, Outcome, OutcomeError, RESULT_FILE, read_decided, read_result};
 use serde_json::{Map, Value, json};
@@ -13,20 +14,20 @@ use serde_json::{Map, Value, json};
 use crate::cli::GainsCommand;
 use crate::runs::vehicle_file::VehicleFile;
 use crate::runs::{preflight, resolved_config};
-use crate::words::Failure;
 use crate::words::tables::{digits, set_cells, table_of, trim};
 use crate::words::terminal::{say, tell};
+use crate::words::{Failure, Margin};
 
 /// Shows, promotes or rolls back the gains in a vehicle's file.
 ///
 /// # Errors
 /// On a user's mistake, or if a file cannot be written.
-pub(crate) fn gains(command: &GainsCommand) -> Result<(), Failure> {
+pub(crate) fn gains(command: &GainsCommand, margin: MarginOf) -> Result<(), Failure> {
     match command {
         GainsCommand::List { vehicle, json } => list(vehicle, *json),
         GainsCommand::Show { vehicle, maneuver, json } => show(vehicle, maneuver, *json),
         GainsCommand::Promote { run, vehicle, force, dry_run } => {
-            promote(run, vehicle, *force, *dry_run)
+            promote(run, vehicle, *force, *dry_run, margin)
         }
         GainsCommand::Rollback { vehicle, maneuver, to } => {
             rollback(vehicle, maneuver.as_deref(), *to)
@@ -179,14 +180,20 @@ fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Failure> {
+fn promote(
+    run: &Path,
+    file: &Path,
+    force: bool,
+    dry_run: bool,
+    margin: MarginOf,
+) -> Result<(), Failure> {
     let trained = Trained::read(run)?;
     check_is_file(file)?;
     // A second promotion at the same time waits for this one, so that neither is lost.
     let target = VehicleFile::lock(file)?;
     let vehicle = resolve(file)?;
     let Trained { maneuver, law, parameters, provenance, .. } = &trained;
-    if let Some((key, then, now)) = geometry_difference(&trained.vehicle, &vehicle)
+    if let Some((key, then, now)) = geometry_difference(&trained.config.vehicle, &vehicle)
         && !force
     {
         return Err(Failure::User(format!(
@@ -247,7 +254,11 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
     }
     let what = if dry_run { "would be promoted" } else { "promoted" };
     let old = old.map(|old| (&*old.law, &old.parameters));
-    say_changes(file, maneuver, what, old, (law, parameters))
+    say_changes(file, maneuver, what, old, (law, parameters))?;
+    // With the car that is to drive with them, not with the one of the training.
+    let config = RunConfig { vehicle, ..trained.config.clone() };
+    let set = config.law.parameters_of(parameters).ok();
+    set.and_then(|set| margin(&config, &set)).map_or(Ok(()), |it| it.print())
 }
 
 fn rollback(file: &Path, maneuver: Option<&str>, to: Option<usize>) -> Result<(), Failure> {
@@ -283,6 +294,9 @@ fn rollback(file: &Path, maneuver: Option<&str>, to: Option<usize>) -> Result<()
     say_changes(file, maneuver, "rolled back", old, (&past.law, &past.parameters))
 }
 
+/// How much later the steering may act, see `Tools`.
+type MarginOf = fn(&RunConfig, &Parameters) -> Option<Margin>;
+
 /// What a vehicle needs of a finished training.
 struct Trained {
     /// The manoeuvre that its gains are for.
@@ -291,7 +305,7 @@ struct Trained {
     law: String,
     parameters: NamedParameters,
     provenance: Provenance,
-    vehicle: Vehicle,
+    config: RunConfig,
     on_bound: Vec<String>,
 }
 
@@ -384,10 +398,10 @@ impl Trained {
         };
         Ok(Self {
             maneuver,
-            law: config.law.name,
+            law: config.law.name.clone(),
             parameters: training.gains.clone(),
             provenance,
-            vehicle: config.vehicle,
+            config,
             on_bound: training.on_bound.clone(),
         })
     }

@@ -3,11 +3,13 @@
 mod baselines;
 pub(crate) mod failure;
 mod laps;
+mod margin;
 pub(crate) mod tables;
 pub(crate) mod terminal;
 mod training;
 
 pub use failure::Failure;
 pub(crate) use failure::known;
+pub use margin::Margin;
 pub use tables::print_table;
 pub use terminal::{print_failure, print_line, print_usage_error};
