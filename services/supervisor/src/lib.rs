@@ -6,6 +6,7 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+mod channel;
 mod deviation;
 mod gate;
 mod governor;
@@ -19,6 +20,7 @@ mod response;
 pub mod service;
 mod watch;
 
+pub use channel::Channel;
 pub use deviation::Deviation;
 pub use gate::{Change, Gate, Passed, RawCommand};
 pub use governor::SpeedGovernor;
