@@ -7,6 +7,7 @@
 
 pub mod conformance;
 pub mod dds;
+pub mod load;
 pub mod netns;
 pub mod onlooker;
 

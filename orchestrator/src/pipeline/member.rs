@@ -23,6 +23,10 @@ use crate::words::Failure;
 const READY_WITHIN_NS: u64 = 5_000_000_000;
 /// A ready process that gives no sign of life for this long, which is five beats, is taken for frozen; see [`Vitals`].
 const BEATS_WITHIN_NS: u64 = 500_000_000;
+/// Who is taken for frozen is looked at again this much later, and must have hung for most of that time too. Two beats: this
+/// process may have been off the processor itself, with its mail unread, and what a process waited for on a disk is
+/// counted nowhere.
+const LOOK_AGAIN_AFTER_NS: u64 = 250_000_000;
 /// Exit code of a process that ends because of a user's mistake.
 const USERS_MISTAKE: i32 = 64;
 
@@ -36,8 +40,8 @@ pub(crate) struct Member {
     pub(crate) policy: RestartPolicy,
     pub(crate) incarnation: u64,
     pub(crate) pid: u32,
-    /// Whether it was found without a sign of life at the last look.
-    suspected: bool,
+    /// When it was first found without a sign of life, and what the system counted of it then.
+    suspected: Option<(u64, Vitals)>,
     /// The batch and tick that it reported last.
     pub(crate) seen: (u64, u64),
     /// The user knows that its log is cut.
@@ -119,7 +123,7 @@ impl Member {
             }),
             incarnation: 0,
             pid: 0,
-            suspected: false,
+            suspected: None,
             seen: (0, 0),
             cut_is_told: false,
             warned: HashSet::new(),
@@ -176,7 +180,7 @@ impl Member {
         })?;
         self.pid = process.id();
         tracing::info!(process = self.name, pid = self.pid, "started");
-        self.suspected = false;
+        self.suspected = None;
         let vitals = self.vitals().unwrap_or_default();
         self.started_ns = now_ns();
         self.state = State::Starting { process, since_ns: self.started_ns, vitals };
@@ -208,7 +212,7 @@ impl Member {
 
     /// Notes a sign of life; returns whether it was the first.
     pub(crate) fn beat(&mut self, now_ns: u64) -> bool {
-        self.suspected = false;
+        self.suspected = None;
         let vitals = self.vitals().unwrap_or_default();
         match std::mem::replace(&mut self.state, State::Down { due_ns: now_ns }) {
             State::Starting { process, .. } => {
@@ -236,11 +240,7 @@ impl Member {
             State::Starting { since_ns, vitals, .. } => (since_ns, vitals, READY_WITHIN_NS),
             State::Ready { beat_ns, vitals, .. } => (beat_ns, vitals, BEATS_WITHIN_NS),
         };
-        let elapsed_ns = now_ns.saturating_sub(since_ns);
-        let hangs = elapsed_ns > limit_ns
-            && self.vitals().is_none_or(|now| vitals.hangs(now, elapsed_ns, limit_ns));
-        // Only at the second look: this process may have been off the processor, too, and its mail unread.
-        if !std::mem::replace(&mut self.suspected, hangs) || !hangs {
+        if !self.hangs(now_ns, since_ns, vitals, limit_ns) {
             return None;
         }
         Some(match self.state {
@@ -249,6 +249,26 @@ impl Member {
             }
             _ => format!("was not ready within {} s", READY_WITHIN_NS / 1_000_000_000),
         })
+    }
+
+    /// Whether it hangs, at the second look: since it had these vitals, for `limit_ns`, and since the first look, too.
+    fn hangs(&mut self, now_ns: u64, since_ns: u64, vitals: Vitals, limit_ns: u64) -> bool {
+        let Some(now) = self.vitals() else { return true };
+        if !vitals.hangs(now, now_ns.saturating_sub(since_ns), limit_ns) {
+            self.suspected = None;
+            return false;
+        }
+        let (first_ns, then) = *self.suspected.get_or_insert((now_ns, now));
+        let again_ns = now_ns.saturating_sub(first_ns);
+        if again_ns < LOOK_AGAIN_AFTER_NS {
+            return false;
+        }
+        let hangs = then.hangs(now, again_ns, LOOK_AGAIN_AFTER_NS * 4 / 5);
+        if !hangs {
+            // It did something since: the next look is a first one.
+            self.suspected = None;
+        }
+        hangs
     }
 
     /// The user's mistake because of which the process ended at its first start, in its own last words. Another start
