@@ -54,7 +54,10 @@ pub fn to_json(result: &impl Serialize) -> Vec<u8> {
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T, OutcomeError> {
     let text =
         read_small(path).map_err(|source| OutcomeError::Io { path: path.to_owned(), source })?;
-    let malformed = |problem: String| OutcomeError::Malformed { path: path.to_owned(), problem };
+    let malformed = |problem: String| OutcomeError::Malformed {
+        path: path.to_owned(),
+        problem: brief(problem),
+    };
     let value: serde_json::Value =
         serde_json::from_str(&text).map_err(|error| malformed(error.to_string()))?;
     match value.get("schema").and_then(serde_json::Value::as_u64) {
@@ -81,3 +84,17 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<T, OutcomeError> {
         })
     })
 }
+
+/// A message holds the value that is wrong, however long that is: its beginning and its end say enough.
+fn brief(problem: String) -> String {
+    let count = problem.chars().count();
+    if count <= LONGEST_MESSAGE {
+        return problem;
+    }
+    let half = LONGEST_MESSAGE / 2;
+    let (first, last) = (problem.chars().take(half), problem.chars().skip(count - half));
+    first.chain(['…']).chain(last).collect()
+}
+
+/// In characters.
+const LONGEST_MESSAGE: usize = 400;
