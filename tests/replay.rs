@@ -241,3 +241,43 @@ fn a_replay_works_in_a_folder_that_nobody_else_knows() {
     assert_eq!(fs::read_dir(&temporary).unwrap().count(), 0, "{name} is left");
     sandbox.assert_clean();
 }
+
+#[test]
+fn what_a_killed_replay_leaves_is_removed_and_what_a_living_one_needs_is_not() {
+    let sandbox = Sandbox::new();
+    let args = ["drive", "lane_change", "--quiet", "--record", "--gains", "3,21,21,.7"];
+    assert!(sandbox.run(&[&args[..], &["--out", "out"]].concat()).status.success());
+    let temporary = sandbox.path("t");
+    // A folder of that name which others may enter is not ours.
+    let open = temporary.join("pathtune-replay-open");
+    fs::create_dir_all(&open).unwrap();
+    fs::set_permissions(&open, fs::Permissions::from_mode(0o755)).unwrap();
+    let here = |args: &[&str]| {
+        let mut command = sandbox.command(args);
+        command.env("TMPDIR", &temporary);
+        command
+    };
+    let mut replay = here(&["replay", "out/recording.mcap", "--realtime"]).spawn().unwrap();
+    let wait = |what: &str, done: &dyn Fn() -> bool| {
+        let until = Instant::now() + Duration::from_secs(30);
+        while !done() {
+            assert!(Instant::now() < until, "{what}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    let folders = || fs::read_dir(&temporary).unwrap().flatten().collect::<Vec<_>>();
+    wait("no folder", &|| folders().iter().any(|it| it.path().join("launch.toml").exists()));
+    // Old enough to be taken for left, but for its lock.
+    std::thread::sleep(Duration::from_millis(2200));
+    let clean = || assert!(here(&["clean"]).output().unwrap().status.success());
+    clean();
+    assert_eq!(folders().len(), 2);
+    replay.kill().unwrap();
+    replay.wait().unwrap();
+    wait("the folder is left", &|| {
+        clean();
+        folders().len() == 1
+    });
+    assert!(open.exists());
+    sandbox.assert_clean();
+}

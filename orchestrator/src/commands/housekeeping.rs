@@ -16,6 +16,7 @@ use serde_json::json;
 use crate::pipeline::process::last_lines;
 use crate::runs::living_run;
 use crate::runs::state::{RunState, ShownRun};
+use crate::runs::temporary;
 use crate::words::Failure;
 use crate::words::terminal::say;
 
@@ -171,13 +172,21 @@ pub(crate) fn clean(dry_run: bool) -> Result<(), Failure> {
         for name in &stale {
             say!("would remove /dev/shm/{name}");
         }
+        for folder in temporary::left_behind() {
+            say!("would remove {}", folder.display());
+        }
         return Ok(());
     }
     let swept = sweep_dead_runs();
     for name in &stale {
         let _ = fs::remove_file(Path::new("/dev/shm").join(name));
     }
-    say!("removed {} dead runs and {} stray segments", swept.len(), stale.len());
+    let folders = temporary::sweep();
+    say!(
+        "removed {} dead runs, {} stray segments and {folders} folders of killed replays",
+        swept.len(),
+        stale.len()
+    );
     Ok(())
 }
 

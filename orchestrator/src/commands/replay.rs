@@ -1,7 +1,6 @@
 //! `pathtune replay`: runs a recording through the ordinary pipeline, with the vehicle and the trainer replaced.
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -20,6 +19,7 @@ use crate::runs::folder::refuse_earlier;
 use crate::runs::preflight;
 use crate::runs::running::run;
 use crate::runs::setup::read;
+use crate::runs::temporary::{self, TemporaryFolder};
 use crate::words::Failure;
 
 /// The recorded configuration, with the keys that the user overrides.
@@ -97,13 +97,9 @@ pub fn replay(
     launch.prefer_service(Role::Trainer, "reviewer");
     sweep_dead_runs();
     preflight::check_resources(config.fleet().max(config.learners()))?;
-    // Made anew, under a name that nobody else knows beforehand, and closed to other users.
-    let made = tempfile::Builder::new()
-        .prefix("pathtune-replay-")
-        .permissions(fs::Permissions::from_mode(0o700))
-        .tempdir()
-        .map_err(|why| Failure::User(format!("no temporary folder can be made: {why}")))?;
-    let folder = preflight::make_folder(made.path())?;
+    temporary::sweep();
+    let made = TemporaryFolder::make()?;
+    let folder = made.path().to_owned();
     let _lock = preflight::lock_folder(&folder)?;
     fs::write(folder.join(order_file), order)?;
     let plan = Plan {
@@ -123,8 +119,7 @@ pub fn replay(
         Ok(facts) => facts,
         Err(failure) => {
             if !matches!(failure, Failure::User(_)) {
-                // Its logs say more.
-                let _ = made.keep();
+                made.keep();
             }
             return Err(failure);
         }

@@ -8,6 +8,7 @@ pub(crate) mod result;
 pub(crate) mod running;
 pub(crate) mod setup;
 pub(crate) mod state;
+pub(crate) mod temporary;
 pub(crate) mod vehicle_file;
 
 pub use folder::resolved_config;

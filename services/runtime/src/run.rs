@@ -165,7 +165,7 @@ fn make_private(folder: &Path) -> io::Result<()> {
 }
 
 /// Whether this is a folder of this user that nobody else can enter.
-fn is_private(folder: &Path) -> bool {
+pub fn is_private(folder: &Path) -> bool {
     fs::symlink_metadata(folder).is_ok_and(|meta| {
         let is_ours = meta.uid() == rustix::process::geteuid().as_raw();
         meta.is_dir() && is_ours && meta.mode() & 0o077 == 0
