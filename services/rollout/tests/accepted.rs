@@ -51,11 +51,7 @@ fn keys(config: &RunConfig) -> Vec<(String, f64)> {
 
 proptest! {
     // PROPTEST_CASES sets another number of cases.
-    #![proptest_config(ProptestConfig {
-        cases: std::env::var("PROPTEST_CASES").map_or(300, |it| it.parse().unwrap()),
-        failure_persistence: None,
-        ..ProptestConfig::default()
-    })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
     fn what_is_accepted_can_be_driven(
         drive in 0usize..DRIVES.len(),
