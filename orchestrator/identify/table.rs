@@ -29,6 +29,7 @@ fn cells(row: &Row) -> [String; 5] {
     let verdict = match (&row.why, row.only_with) {
         (Some(why), _) => format!("no: {why}"),
         (None, Some(other)) => format!("yes, together with {other}"),
+        (None, None) if row.roughly => "roughly; the file's value fits worse".to_owned(),
         (None, None) => "yes".to_owned(),
     };
     [row.key.to_owned(), number(row.before), number(row.after), interval, verdict]

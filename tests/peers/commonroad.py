@@ -1,12 +1,13 @@
-"""A car that nobody here wrote: CommonRoad's multi-body model (29 states) of a BMW 320i.
+"""A car that nobody here wrote: CommonRoad's multi-body model (29 states) of a BMW 320i; also of a Ford Escort and a VW
+Vanagon.
 
 Needs the package commonroad-vehicle-models. Poses are those of the rear axle, REP-103.
 """
 
+import importlib
 import math
 
 from vehiclemodels.init_mb import init_mb
-from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
 
@@ -20,9 +21,10 @@ class Car:
     ACCELERATION_MPS2 = 3.0
     BRAKE_MPS2 = 6.0
 
-    def __init__(self, start_x, start_y, start_yaw):
-        """Stands with its rear axle at the start."""
-        self.p = parameters_vehicle2()
+    def __init__(self, start_x, start_y, start_yaw, parameters=2):
+        """Stands with its rear axle at the start. `parameters`: 1 for the Ford, 2 for the BMW, 3 for the VW."""
+        name = f"parameters_vehicle{parameters}"
+        self.p = getattr(importlib.import_module(f"vehiclemodels.{name}"), name)()
         self.cg_m = self.p.b
         x = start_x + self.cg_m * math.cos(start_yaw)
         y = start_y + self.cg_m * math.sin(start_yaw)

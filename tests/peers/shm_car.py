@@ -1,6 +1,6 @@
 """CommonRoad's multi-body car in the vehicle's role over shared memory: the plant of examples/python_vehicle swapped.
 
-    shm_car.py [--steering-delay-s S] [--steering-lag-s S] [--fault FAULT]
+    shm_car.py [--steering-delay-s S] [--steering-lag-s S] [--parameters 1|2|3] [--fault FAULT]
 
 puts a dead time and a first-order lag between the command and the steering; with --fault the car does not do as it is told
 from some moment on. Needs the packages iceoryx2 and commonroad-vehicle-models.
@@ -28,6 +28,7 @@ def arguments():
     parser.add_argument("--log", default=os.devnull, help="writes down what it does, a line of JSON a step")
     parser.add_argument("--steering-delay-s", type=float, default=0.0)
     parser.add_argument("--steering-lag-s", type=float, default=0.0)
+    parser.add_argument("--parameters", type=int, choices=[1, 2, 3], default=2, help="CommonRoad's set: Ford, BMW, VW")
     faults.add_arguments(parser)
     return parser.parse_args()
 
@@ -48,7 +49,8 @@ class MultiBody(vehicle.Car):
         self.tick_s = config.drive.tick_s
         start, ahead_m = request.start, self.kind.tracked_point_m
         x, y = start.x_m - ahead_m * cos(start.yaw_rad), start.y_m - ahead_m * sin(start.yaw_rad)
-        self.model, self.fault = Model(x, y, start.yaw_rad), faults.Fault(ARGS)
+        which = {} if ARGS.small else {"parameters": ARGS.parameters}
+        self.model, self.fault = Model(x, y, start.yaw_rad, **which), faults.Fault(ARGS)
         self.log = open(ARGS.log, "w", buffering=1)
         self.on_the_way = deque([0.0] * round(ARGS.steering_delay_s / self.tick_s))
         self.lagged_rad = 0.0

@@ -40,7 +40,10 @@ pub(crate) enum Told {
         /// Half the width that it had.
         half: f64,
     },
-    /// Its interval is too wide, but the file's value fits worse.
+    /// Its interval is wide, but the file's value fits worse. Where the others take the values of this fit, it has to do
+    /// the same: a mixture of both would be no car.
+    Roughly,
+    /// Its interval is too wide and open to one side, but the file's value fits worse.
     Contradicted {
         /// Half the width that it has.
         half: f64,
@@ -58,7 +61,11 @@ impl Fitted {
                 factors[row] += factor;
             }
         }
-        self.spread.variance(&factors)
+        // Nothing is known less well than before the drive. Where a model misses something, its blocks may say so.
+        let widths = self.spread.free.iter().map(|&index| self.axes[index].prior_sd);
+        let before: f64 =
+            factors.iter().zip(widths).map(|(it, sd): (&f64, f64)| (it * sd).powi(2)).sum();
+        self.spread.variance(&factors).min(before)
     }
 
     /// Half the width of the 95 % interval of a combination.
@@ -101,12 +108,13 @@ fn best_start(
 }
 
 /// Holds one parameter after the other that the drive does not tell at the file's value, where the drive agrees with it: the
-/// least told first, because another one may be told once it is held.
+/// least told first, because another one may be told once it is held. `open_sided` is never told roughly.
 fn hold_what_is_not_told<M: Held>(
     model: &mut M,
     mut at: Vec<f64>,
     mut weights: Weights,
     limits: &dyn Fn(usize, &[f64]) -> Limit,
+    open_sided: Option<usize>,
 ) -> Option<Fitted> {
     let all = |_: usize| true;
     let told = |axis: &Axis| if axis.free { Told::Identified } else { Told::Held };
@@ -140,7 +148,9 @@ fn hold_what_is_not_told<M: Held>(
         }
         // Held at the file's value, it would mislead the others: they are better told by a fit that leaves it free.
         model.axes_mut()[worst].free = true;
-        if worse > CONTRADICTED {
+        if open_sided != Some(worst) {
+            told[worst] = Told::Roughly;
+        } else if worse > CONTRADICTED {
             told[worst] = Told::Contradicted { half };
         }
     }
@@ -165,7 +175,7 @@ pub(crate) fn fit_speed(
     }
     let (start, weights) = best_start(&model, starts, 6)?;
     let (at, weights) = settle(&model, weights, &start, 4, &|_| true);
-    hold_what_is_not_told(&mut model, at, weights, limits)
+    hold_what_is_not_told(&mut model, at, weights, limits, None)
 }
 
 /// Fits steering, wheelbase and the odometry's point.
@@ -192,7 +202,8 @@ pub(crate) fn fit_steering(
     let mut joint = Steering::new(stretches, vehicle, point_m, wheelbase_is_measured, true);
     let weights = even(&joint);
     let (at, weights) = settle(&joint, weights, &start, 4, &|_| true);
-    hold_what_is_not_told(&mut joint, at, weights, limits)
+    // Wheels that never turned as fast as they can tell a least rate, and no greatest one.
+    hold_what_is_not_told(&mut joint, at, weights, limits, Some(steering::RATE))
 }
 
 /// The fit of some blocks alone, with the same parameters held.

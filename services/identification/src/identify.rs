@@ -44,6 +44,23 @@ pub struct NoiseFound {
     pub position_sd_m: f64,
     /// Half the width of the heading's triangular distribution that has the standard deviation which was found.
     pub heading_half_width_rad: f64,
+    /// Standard deviation of the speed.
+    pub speed_sd_mps: f64,
+    /// Standard deviation of the yaw rate; `None` if it is not measured.
+    pub yaw_rate_sd_radps: Option<f64>,
+}
+
+/// What the fit leaves of the drive: standard deviations, told by medians.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Residuals {
+    /// Of the speed, as it follows from the commands alone.
+    pub speed_mps: f64,
+    /// Of the yaw rate; `None` if it is not measured.
+    pub yaw_rate_radps: Option<f64>,
+    /// Of each coordinate, within windows of 3 s.
+    pub position_m: f64,
+    /// Of the heading, within these.
+    pub heading_rad: f64,
 }
 
 /// What drives tell of a car.
@@ -57,6 +74,8 @@ pub struct Identification {
     pub predictions: Vec<Prediction>,
     /// Noise of the odometry.
     pub noise: NoiseFound,
+    /// What the fit leaves.
+    pub residuals: Residuals,
     /// How many times too large the measured speed is, against the poses.
     pub speed_scale: f64,
     /// Seconds in which the car moved, of what was fitted.
@@ -141,16 +160,29 @@ pub fn identify(
     let new = apply(vehicle, &rows, options);
 
     let predictions = predict(&chosen, vehicle, options, &of_speed, &of_steering);
+    let has_yaw_rate =
+        chosen.iter().all(|it| it.yaw_rate_radps.iter().all(|rate| rate.is_finite()));
+    let measured = |of: f64| has_yaw_rate.then_some(of);
     let noise = NoiseFound {
+        speed_sd_mps: noise_of(&chosen, |it| &it.speed_mps),
+        yaw_rate_sd_radps: measured(noise_of(&chosen, |it| &it.yaw_rate_radps)),
         position_sd_m: of_steering.weights.spreads[POSITION],
         // A triangular distribution of half width h has a standard deviation of h/√6.
         heading_half_width_rad: 6.0_f64.sqrt() * of_steering.weights.spreads[HEADING],
+    };
+    let spreads = &of_steering.weights.spreads;
+    let residuals = Residuals {
+        speed_mps: of_speed.weights.spreads[0],
+        yaw_rate_radps: measured(spreads[0]),
+        position_m: spreads[POSITION],
+        heading_rad: spreads[HEADING],
     };
     let fitted_s = length_s(&chosen);
     let mut found = Identification {
         delay_and_lag: delay_and_lag(&of_steering, vehicle),
         predictions,
         noise,
+        residuals,
         speed_scale: libm::exp(-of_steering.at[steering::SCALE]),
         moving_s,
         recorded_s,
@@ -160,7 +192,7 @@ pub fn identify(
         vehicle: new,
         rows,
     };
-    found.warnings = warnings(&found, &chosen, &of_steering, &of_speed);
+    found.warnings = warnings(&found, &of_steering);
     for row in found.rows.iter().filter(|row| !row.identified) {
         if let Some(next) = row.drive_next()
             && !found.drive_next.iter().any(|it| it == next)
@@ -235,12 +267,7 @@ fn apply(vehicle: &Vehicle, rows: &[Row], options: Options) -> Vehicle {
     new
 }
 
-fn warnings(
-    found: &Identification,
-    stretches: &[Stretch],
-    of_steering: &Fitted,
-    of_speed: &Fitted,
-) -> Vec<String> {
+fn warnings(found: &Identification, of_steering: &Fitted) -> Vec<String> {
     let mut warnings = Vec::new();
     let half = of_steering.half(&[(steering::SCALE, 1.0)]);
     let share = found.speed_scale - 1.0;
@@ -261,13 +288,6 @@ fn warnings(
             found.fitted_s, found.recorded_s
         ));
     }
-    let third = |values: &[f64]| {
-        let differences = values.windows(4).map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
-        robust_sd(differences) / 20.0_f64.sqrt()
-    };
-    let noise_of = |of: fn(&Stretch) -> &Vec<f64>| {
-        stretches.iter().map(|it| third(of(it))).fold(0.0, f64::max)
-    };
     let mut check = |what: &str, unit: &str, residual: f64, noise: f64, least: f64| {
         if residual > 1.3 * noise && residual > least {
             warnings.push(format!(
@@ -276,11 +296,19 @@ fn warnings(
             ));
         }
     };
-    if stretches.iter().all(|it| it.yaw_rate_radps.iter().all(|rate| rate.is_finite())) {
-        let noise = noise_of(|it| &it.yaw_rate_radps);
-        check("yaw rate", "mrad/s", 1e3 * of_steering.weights.spreads[0], 1e3 * noise, 3.0);
+    let (left, noise) = (found.residuals, found.noise);
+    if let (Some(left), Some(noise)) = (left.yaw_rate_radps, noise.yaw_rate_sd_radps) {
+        check("yaw rate", "mrad/s", 1e3 * left, 1e3 * noise, 3.0);
     }
-    let noise = noise_of(|it| &it.speed_mps);
-    check("speed", "cm/s", 1e2 * of_speed.weights.spreads[0], 1e2 * noise, 1.5);
+    check("speed", "cm/s", 1e2 * left.speed_mps, 1e2 * noise.speed_sd_mps, 1.5);
     warnings
+}
+
+/// The noise of what was measured, whatever the car did: differences of the third order know no motion that is smooth.
+fn noise_of(stretches: &[Stretch], of: fn(&Stretch) -> &Vec<f64>) -> f64 {
+    let third = |values: &[f64]| {
+        let differences = values.windows(4).map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
+        robust_sd(differences) / 20.0_f64.sqrt()
+    };
+    stretches.iter().map(|it| third(of(it))).fold(0.0, f64::max)
 }

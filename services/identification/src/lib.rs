@@ -27,7 +27,7 @@ mod speed;
 mod steering;
 
 pub use drive::{Command, Drive, Odometry};
-pub use identify::{Identification, NoiseFound, Options, Point, identify};
+pub use identify::{Identification, NoiseFound, Options, Point, Residuals, identify};
 pub use prediction::Prediction;
 pub use refusal::Refusal;
 pub use rows::Row;

@@ -20,6 +20,8 @@ pub struct Row {
     pub interval: Option<[f64; 2]>,
     /// Whether the drive tells it.
     pub identified: bool,
+    /// The drive tells it only roughly, but it speaks against the file's value.
+    pub roughly: bool,
     /// The drive tells only the product or the ratio with this key, which keeps its value.
     pub only_with: Option<&'static str>,
     /// Why it is not identified.
@@ -109,6 +111,7 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
             after: key.before,
             interval: None,
             identified: false,
+            roughly: false,
             only_with: None,
             why: Some(why),
             contradicted,
@@ -118,7 +121,7 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
         Told::TooWide { half } => unidentified(half, false),
         Told::Contradicted { half } => unidentified(half, true),
         Told::Held => Row { why: Some("not looked for".to_owned()), ..unidentified(0.0, false) },
-        Told::Identified => {
+        Told::Identified | Told::Roughly => {
             let interval = [value(at - half), value(at + half)];
             Row {
                 key: key.name,
@@ -126,6 +129,7 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
                 after: rounded(value(at), 0.5 * (interval[1] - interval[0])),
                 interval: Some(interval),
                 identified: true,
+                roughly: told == Told::Roughly,
                 only_with: None,
                 why: None,
                 contradicted: false,
@@ -195,6 +199,7 @@ pub(crate) fn delay_and_lag(fitted: &Fitted, vehicle: &Vehicle) -> Row {
         after: rounded(after, half),
         interval: Some([(after - half).max(0.0), after + half]),
         identified: true,
+        roughly: false,
         only_with: None,
         why: None,
         contradicted: false,
@@ -230,6 +235,7 @@ pub(crate) fn speed_rows(fitted: &Fitted, vehicle: &Vehicle) -> Vec<Row> {
         let interval = [libm::exp(at - half), libm::exp(at + half)];
         one.after = rounded(libm::exp(at), 0.5 * (interval[1] - interval[0]));
         one.interval = Some(interval);
+        one.roughly |= throttle.roughly;
         one.only_with = (!throttle.identified).then_some("throttle_accel_mps2");
         one
     };

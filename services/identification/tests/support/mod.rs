@@ -1,6 +1,8 @@
 //! Cars that only the test knows, files that know them roughly, and drives in them.
 #![allow(dead_code, reason = "each test uses a part")]
 
+pub(crate) mod foreign;
+
 use config::{Layers, RunConfig, Vehicle};
 use identification::{Command, Drive, Odometry};
 use rand::{Rng, SeedableRng};
