@@ -4,7 +4,8 @@ mod support;
 
 use std::fmt::Write as _;
 use std::fs;
-use std::process::Output;
+use std::path::Path;
+use std::process::{Command as Program, Output};
 
 use config::{Layers, Vehicle};
 use serde_json::Value;
@@ -200,4 +201,201 @@ fn a_recording_of_ours_is_read_as_such_and_as_the_bag_that_it_also_is() {
     let said = stderr(&sandbox.run(&wrong));
     assert!(said.contains("has no odometry on /odo") && said.contains("/odom"), "{said}");
     sandbox.assert_clean();
+}
+
+/// What odometry of a small car tells of its yaw rate.
+#[derive(Clone, Copy, PartialEq)]
+enum YawRate {
+    /// v·tan(δ)/L of the servo's command, as `vesc_to_odom` makes it by default.
+    Command,
+    /// The same, and a third of the commands arrive a tick late.
+    LateCommand,
+    /// That of a gyro.
+    Gyro,
+    /// None: the heading stays 0.
+    Zero,
+}
+
+/// 60 s at 50 Hz of a car at the scale of 1:10, whose odometry is the integral of speed and that yaw rate, as CSV. The car
+/// has another wheelbase than its driver believes, a linkage that gives 93 %, an offset, a servo with dead time, lag and
+/// rate, and understeer.
+fn write_small_drive(sandbox: &Sandbox, name: &str, kind: YawRate) {
+    const TICK_S: f64 = 0.02;
+    const SUB: usize = 20;
+    let sub_s = TICK_S / SUB as f64;
+    let commands = |time_s: f64| {
+        let speed = match time_s {
+            ..1.0 => 0.0,
+            ..30.0 => 2.0,
+            _ => 2.0 + 0.8 * (0.5 * (time_s - 30.0)).sin(),
+        };
+        let since_s = time_s - 15.0;
+        let steering = match time_s {
+            ..3.0 => 0.0,
+            ..15.0 => [0.22, -0.22, 0.11, -0.11][((time_s - 3.0) / 1.5) as usize % 4],
+            ..30.0 => 0.15 * (std::f64::consts::TAU * (0.1 + 0.04 * since_s) * since_s).sin(),
+            _ => 0.2 * (0.7 * (time_s - 30.0)).sin() + 0.05 * (2.3 * time_s).sin(),
+        };
+        (speed, steering)
+    };
+    // Even over ± 1, and the same everywhere.
+    let mut state = 5_u64;
+    let mut dice = move || {
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    };
+    let mut on_the_way = std::collections::VecDeque::from(vec![0.0; 30]);
+    let (mut speed, mut wheel, mut rate) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let (mut x, mut y, mut yaw) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let (mut told, mut before) = (0.0_f64, 0.0_f64);
+    let mut text =
+        String::from("t_s,cmd_speed_mps,cmd_steering_rad,x_m,y_m,yaw_rad,v_mps,yaw_rate_radps\n");
+    for tick in 0..3000 {
+        let time_s = tick as f64 * TICK_S;
+        let (wanted, steering) = commands(time_s);
+        // The driver counts turns of the motor.
+        let measured = ((speed * 4614.0 + 20.0 * dice()).round() / 4614.0).max(0.0);
+        let measured = if measured < 0.05 { 0.0 } else { measured };
+        let shown = match kind {
+            YawRate::Command | YawRate::LateCommand => measured * told.tan() / 0.25,
+            YawRate::Gyro => rate + 0.035 * dice() + 0.004,
+            YawRate::Zero => 0.0,
+        };
+        x += measured * yaw.cos() * TICK_S;
+        y += measured * yaw.sin() * TICK_S;
+        yaw += shown * TICK_S;
+        writeln!(
+            text,
+            "{time_s:.2},{wanted:.3},{steering:.4},{x:.4},{y:.4},{yaw:.5},{measured:.4},{shown:.5}"
+        )
+        .unwrap();
+        let is_late = kind == YawRate::LateCommand && dice() > 0.33;
+        told = if is_late { before } else { steering };
+        before = steering;
+        for _ in 0..SUB {
+            on_the_way.push_back(steering);
+            let turned = (on_the_way.pop_front().unwrap() - wheel) * sub_s / 0.09;
+            wheel += turned.clamp(-4.0 * sub_s, 4.0 * sub_s);
+            speed += (wanted - speed) * sub_s / 0.25;
+            rate = speed * (0.93 * wheel + 0.025).tan() / (0.324 + 0.006 * speed * speed);
+        }
+    }
+    fs::write(sandbox.path(name), text).unwrap();
+}
+
+#[test]
+fn odometry_from_the_command() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("car.toml"), "based_on = \"f1tenth\"\nname = \"mine\"\n").unwrap();
+    let formula = [
+        "drive.csv",
+        "v·tan(commanded steering)/0.250 m",
+        "computed and not measured",
+        "use_servo_cmd_to_calc_angular_velocity",
+        "give an IMU's yaw rate or a localised pose",
+    ];
+    write_small_drive(&sandbox, "drive.csv", YawRate::Command);
+    refused(&sandbox, &["drive.csv", "--write"], &formula);
+    write_small_drive(&sandbox, "drive.csv", YawRate::LateCommand);
+    refused(&sandbox, &["drive.csv", "--write"], &formula);
+    write_small_drive(&sandbox, "drive.csv", YawRate::Zero);
+    let zero = ["yaw rate is 0 while the car steers", "give an IMU's yaw rate or a localised pose"];
+    refused(&sandbox, &["drive.csv", "--write"], &zero);
+    // With a gyro it is identified: the linkage and the understeer count as wheelbase.
+    write_small_drive(&sandbox, "drive.csv", YawRate::Gyro);
+    let output = sandbox.run(&["identify", "drive.csv", "--vehicle", "car.toml", "--write"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let found = vehicle(&sandbox, "car.toml");
+    near(found.wheelbase_m, 0.37, 0.06);
+    near(found.steering_delay_s + found.steering_lag_s, 0.12, 0.2);
+    sandbox.assert_clean();
+}
+
+/// Python with the packages that the multi-body car needs, or `None` where tests may be skipped.
+fn python() -> Option<String> {
+    let why = "PATHTUNE_PYTHON names no interpreter with iceoryx2 and commonroad-vehicle-models";
+    let python = std::env::var("PATHTUNE_PYTHON").ok().filter(|python| {
+        let packages = ["-c", "import iceoryx2, vehiclemodels"];
+        Program::new(python).args(packages).output().is_ok_and(|it| it.status.success())
+    });
+    if python.is_none() {
+        assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
+        eprintln!("skipped: {why}");
+    }
+    python
+}
+
+/// CommonRoad's multi-body car (29 states) behind a dead time and a lag, from an excitation to a prediction. With
+/// `PATHTUNE_MULTI_BODY=1` it is also trained for and driven, in lockstep, and the figures are printed.
+#[test]
+fn a_car_that_nobody_here_wrote_is_predicted_to_centimetres() {
+    let Some(python) = python() else { return };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/shm_car.py");
+    let car = format!(
+        "vehicle={python} -B {} --steering-delay-s 0.15 --steering-lag-s 0.12",
+        script.display()
+    );
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("car.toml"), "based_on = \"ackermann\"\nname = \"mine\"\n").unwrap();
+    let noise =
+        ["--set", "noise.position_sd_m=0.02", "--set", "noise.heading_half_width_rad=0.0122"];
+    let args =
+        ["excite", "--vehicle", "car.toml", "--out", "excited", "--noise", "--replace", &car];
+    let output = sandbox.run(&[&args[..], &noise].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let args = ["identify", "excited/recording.mcap", "--vehicle", "car.toml"];
+    let output = sandbox.run(&[&args[..], &["--json"]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(json["predicts_better"], true, "{json}");
+    let predictions = json["identification"]["predictions"].as_array().unwrap();
+    let after = |index: usize| predictions[index]["after_m"].as_f64().unwrap();
+    println!("predicted over 1 s to {:.4} m, over 3 s to {:.4} m", after(0), after(1));
+    assert!(after(0) < 0.03 && after(1) < 0.05, "{predictions:?}");
+    if std::env::var_os("PATHTUNE_MULTI_BODY").is_some() {
+        let output = sandbox.run(&[&args[..], &["--write"]].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        train_and_drive(&sandbox, &car);
+    }
+    sandbox.assert_clean();
+}
+
+/// `smooth_lane` at 3.5 m/s: pure pursuit, compensated and trained over eight plants, beside textbook sets that are neither.
+fn train_and_drive(sandbox: &Sandbox, car: &str) {
+    fs::write(sandbox.path("file.toml"), "based_on = \"ackermann\"\nname = \"mine\"\n").unwrap();
+    let mut args = vec!["train", "smooth_lane", "--vehicle", "car.toml", "--law", "pure_pursuit"];
+    args.extend(["--over", "default", "--tuner", "cmaes", "--drives", "60"]);
+    let trained = sandbox.json("trained", &args);
+    let gains: Vec<String> = ["kv", "ld_min", "ld_s", "filter"]
+        .map(|key| trained["gains"][key].as_f64().unwrap().to_string())
+        .to_vec();
+    let tuned = gains.join(",");
+    let mean = |result: &Value| result["path_mean_m"].as_f64().unwrap();
+    let drive = |out: &str, vehicle: &str, law: &str, gains: &str, more: &[&str]| {
+        let args = ["drive", "smooth_lane", "--vehicle", vehicle, "--law", law, "--gains", gains];
+        let driven = sandbox.json(out, &[&args[..], more].concat());
+        println!("{law} {gains}: {:.4} m, {}", mean(&driven), driven["path_max_m"]);
+        driven
+    };
+    let simulated = drive("simulated", "car.toml", "pure_pursuit", &tuned, &[]);
+    let driven = drive("driven", "car.toml", "pure_pursuit", &tuned, &["--replace", car]);
+    let untuned = [
+        ("pure_pursuit", "1,2,0.8,0"),
+        ("pure_pursuit", "1,2,1,0"),
+        ("stanley", "1,1,1,0"),
+        ("stanley", "1,2.5,1,0"),
+    ];
+    let plain = ["--set", "controller.compensate_dead_time=false", "--replace", car];
+    let best = untuned.iter().enumerate().map(|(index, (law, gains))| {
+        mean(&drive(&format!("untuned_{index}"), "file.toml", law, gains, &plain))
+    });
+    let best = best.fold(f64::INFINITY, f64::min);
+    println!(
+        "tuned {:.4} m (simulated {:.4} m), best untuned {best:.4} m",
+        mean(&driven),
+        mean(&simulated)
+    );
+    assert!(mean(&driven) < 0.65 * best);
+    assert!(driven["path_max_m"].as_f64().unwrap() < 0.25);
 }
