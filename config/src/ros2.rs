@@ -53,6 +53,8 @@ pub enum DriveMessage {
     Bare,
     /// `geometry_msgs/Twist`, whose yaw rate stands for the angle.
     Twist,
+    /// `geometry_msgs/TwistStamped`, likewise.
+    TwistStamped,
 }
 
 /// The message that reports a collision.

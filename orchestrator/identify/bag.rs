@@ -24,6 +24,7 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
         DriveMessage::Stamped => CommandType::Stamped,
         DriveMessage::Bare => CommandType::Bare,
         DriveMessage::Twist => CommandType::Twist,
+        DriveMessage::TwistStamped => CommandType::TwistStamped,
     });
     let sign = vehicle.ros2.steering_sign as f64;
     let mut drive = Drive::default();
@@ -49,8 +50,18 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
                         decode(data, topic, "ackermann_msgs/AckermannDrive")?;
                     (it.steering_angle.into(), it.speed.into())
                 }
-                CommandType::Twist => {
-                    let it: messages::Twist = decode(data, topic, "geometry_msgs/Twist")?;
+                CommandType::Twist | CommandType::TwistStamped => {
+                    let it: messages::Twist = match kind {
+                        CommandType::TwistStamped => {
+                            decode::<messages::TwistStamped>(
+                                data,
+                                topic,
+                                "geometry_msgs/TwistStamped",
+                            )?
+                            .twist
+                        }
+                        _ => decode(data, topic, "geometry_msgs/Twist")?,
+                    };
                     let last = drive.commands.last().map_or(0.0, |it| sign * it.steering_rad);
                     let speed_mps = it.linear.x;
                     let angle = vehicle.wheelbase_m * it.angular.z / speed_mps;

@@ -1,7 +1,7 @@
 """A ROS 2 node that is a car, by rclpy over the middleware that ROS 2 ships with.
 
-The car is CommonRoad's model, as in ros2_car.py. Without ackermann_msgs it takes geometry_msgs/Twist: a speed and a yaw
-rate. Needs the packages ros-rclpy[fastrtps], ros-nav-msgs and ros-geometry-msgs.
+The car is CommonRoad's model, as in ros2_car.py. Without ackermann_msgs it takes geometry_msgs/Twist, or TwistStamped: a
+speed and a yaw rate. Needs the packages ros-rclpy[fastrtps], ros-nav-msgs and ros-geometry-msgs.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import time
 os.environ.setdefault("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
 
 import rclpy  # noqa: E402
-from geometry_msgs.msg import Twist  # noqa: E402
+from geometry_msgs.msg import Twist, TwistStamped  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 
 from commonroad import Car  # noqa: E402
@@ -27,10 +27,13 @@ MOST_AT_ONCE = 10
 class Node:
     """The car's node: odometry out, commands in, both as ROS 2 does by default."""
 
-    def __init__(self):
+    def __init__(self, is_stamped):
         self.node = rclpy.create_node("car")
         self.odometry = self.node.create_publisher(Odometry, "/odom", 10)
-        self.node.create_subscription(Twist, "/drive", self.hear, 10)
+        if is_stamped:
+            self.node.create_subscription(TwistStamped, "/drive", lambda it: self.hear(it.twist), 10)
+        else:
+            self.node.create_subscription(Twist, "/drive", self.hear, 10)
         self.speed_mps, self.angle_rad, self.heard = 0.0, 0.0, 0
 
     def hear(self, twist):
@@ -57,11 +60,12 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--domain", type=int, required=True)
     parser.add_argument("--log", required=True)
+    parser.add_argument("--stamped", action="store_true", help="takes TwistStamped")
     args = parser.parse_args()
     os.environ["ROS_DOMAIN_ID"] = str(args.domain)
     # Python's own, by which the interrupt below comes between two calls and not within one.
     rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node, car = Node(), Car(0.0, 0.0, 0.0)
+    node, car = Node(args.stamped), Car(0.0, 0.0, 0.0)
     due = time.monotonic()
     with open(args.log, "w", buffering=1) as log:
         while rclpy.ok():

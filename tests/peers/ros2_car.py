@@ -35,6 +35,7 @@ def arguments():
     parser.add_argument("--collides-after", type=float, default=math.inf, help="metres driven")
     parser.add_argument("--habit", default="", help="what its odometry is like: one of HABITS")
     parser.add_argument("--deaf", action="store_true", help="takes no commands")
+    parser.add_argument("--ear", action="store_true", help="takes commands, but tells no odometry")
     parser.add_argument("--driver", action="store_true", help="is no car, but could drive one: publishes nothing yet")
     parser.add_argument("--small", action="store_true", help="is a car at the scale of 1:10")
     faults.add_arguments(parser)
@@ -108,9 +109,9 @@ def main():
     if not args.deaf:
         commands = DataReader(participant, Topic(participant, "rt" + args.drive, kind), qos=ros.qos(True))
     is_mute = args.habit == "mute"
-    writer = DataWriter(
-        participant, Topic(participant, "rt" + args.odometry, ros.Odometry), qos=ros.qos(is_mute)
-    )
+    if not args.ear:
+        odometry_topic = Topic(participant, "rt" + args.odometry, ros.Odometry)
+        writer = DataWriter(participant, odometry_topic, qos=ros.qos(is_mute))
     collisions = None
     if args.collision:
         topic = Topic(participant, "rt" + args.collision, ros.CarlaCollisionEvent)
@@ -137,7 +138,7 @@ def main():
             if collisions and math.hypot(x - start[0], y - start[1]) > args.collides_after:
                 collisions.write(ros.CarlaCollisionEvent(other_actor_id=1))
                 collisions = None
-            if not is_mute:
+            if not (is_mute or args.ear):
                 writer.write(odometry(car, fault, args))
             line = {"t_ns": time.monotonic_ns(), "x_m": x, "y_m": y, "yaw_rad": yaw}
             line |= {"speed_mps": car.speeds()[0], "steering_rad": car.steering(), "heard": heard}

@@ -126,6 +126,54 @@ fn a_drive_goes_on_when_its_adapter_was_paused() {
 }
 
 #[test]
+fn commands_that_nobody_acknowledges_are_told_and_the_drive_does_not_go_on() {
+    let Some(python) = python() else { return };
+    let (sandbox, domain) = (Sandbox::new(), own_domain());
+    // Its odometry comes, whether or not its ear hears commands.
+    let _car = Peer::start(&sandbox, &python, domain, &["--deaf"]);
+    let ear = Peer::start(&sandbox, &python, domain, &["--ear"]);
+    let mut ring = Ring::start(&sandbox, domain, "ackermann", &[]);
+    ring.wait_for("a car at the start", Duration::from_secs(8), Ring::is_at_start);
+    // Discovered, and deaf from the start.
+    ear.signal(Signal::STOP);
+    ring.request();
+    let is_told = |ring: &Ring, what: &str| ring.told().contains(what);
+    ring.wait_for("what it waits for", Duration::from_secs(8), |ring| {
+        is_told(ring, "the drive waits for somebody to acknowledge a command")
+    });
+    assert!(ring.heard.is_empty(), "{}", ring.told());
+    ear.signal(Signal::CONT);
+    ring.wait_for("the drive", Duration::from_secs(10), |ring| !ring.heard.is_empty());
+    ring.drive(Duration::from_secs(1), follow(0.0, 1.0));
+    assert_eq!(ear.last("told_mps"), 1.0, "{}", ring.told());
+    // Deaf on the way.
+    let before = ring.told().len();
+    ear.signal(Signal::STOP);
+    let (deaf, until) = (Instant::now(), Instant::now() + Duration::from_secs(8));
+    let mut times_ms = Vec::new();
+    for what in ["acknowledged for 0.3 s; joining the network anew", "this drive does not go on"] {
+        while !ring.told()[before..].contains(what) {
+            assert!(Instant::now() < until, "{what} is not told: {}", ring.told());
+            ring.drive(Duration::from_millis(5), follow(0.0, 1.0));
+        }
+        times_ms.push(deaf.elapsed().as_millis());
+    }
+    println!("not acknowledged: told after {} ms, given up after {} ms", times_ms[0], times_ms[1]);
+    // It hears again: it is stopped, whatever the rest of the ring says.
+    ear.signal(Signal::CONT);
+    let until = Instant::now() + Duration::from_secs(15);
+    while ear.last("told_mps") > 0.0 {
+        assert!(Instant::now() < until, "the car drives on: {}", ring.told());
+        ring.drive(Duration::from_millis(50), follow(0.0, 1.0));
+    }
+    ring.drive(Duration::from_millis(500), follow(0.0, 1.0));
+    assert_eq!(ear.last("told_mps"), 0.0, "{}", ring.told());
+    let told = ring.stop();
+    assert!(!told.contains("publishes on"), "{told}");
+    sandbox.assert_clean();
+}
+
+#[test]
 fn beside_a_second_publisher_the_car_stops() {
     let Some(python) = python() else { return };
     let (sandbox, domain) = (Sandbox::new(), own_domain());

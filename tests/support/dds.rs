@@ -66,10 +66,16 @@ impl Peer {
     }
 
     /// A car on a host of its own, found as DDS finds whoever is on its networks.
-    pub fn on(host: &Host, sandbox: &Sandbox, python: &OsString, speaks: Speaks) -> Self {
+    pub fn on(
+        host: &Host,
+        sandbox: &Sandbox,
+        python: &OsString,
+        speaks: Speaks,
+        args: &[&str],
+    ) -> Self {
         let mut program = host.enter(python);
         program.env_remove("CYCLONEDDS_URI");
-        Self::spawn(sandbox, program, speaks, 0, &[])
+        Self::spawn(sandbox, program, speaks, 0, args)
     }
 
     fn spawn(
@@ -83,7 +89,12 @@ impl Peer {
             Speaks::Cyclone => "tests/peers/ros2_car.py",
             Speaks::Fast => "tests/peers/rclpy_car.py",
         };
-        let who = if args.contains(&"--driver") { "driver.log" } else { "car.log" };
+        let is = |what: &str| args.contains(&what);
+        let who = match (is("--driver"), is("--ear")) {
+            (true, _) => "driver.log",
+            (_, true) => "ear.log",
+            _ => "car.log",
+        };
         let log = sandbox.path(who);
         let child = program
             .arg("-B")
@@ -104,6 +115,25 @@ impl Peer {
         let text = fs::read_to_string(&self.1).unwrap_or_default();
         // The last line may be half written.
         text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+    }
+
+    /// The longest time between two commands that it heard, and its own longest step meanwhile, in milliseconds.
+    pub fn longest_silence_ms(&self) -> [f64; 2] {
+        let log = self.log();
+        let number = |line: &Value, key: &str| line[key].as_u64().unwrap();
+        let news: Vec<usize> = (1..log.len())
+            .filter(|at| number(&log[*at], "heard") > number(&log[at - 1], "heard"))
+            .collect();
+        let ms = |from: usize, to: usize| {
+            (number(&log[to], "t_ns") - number(&log[from], "t_ns")) as f64 / 1e6
+        };
+        let (first, last) = (news[0], news[news.len() - 1]);
+        let silence = news.windows(2).map(|pair| ms(pair[0], pair[1])).fold(0.0, f64::max);
+        [silence, (first..last).map(|at| ms(at, at + 1)).fold(0.0, f64::max)]
+    }
+
+    pub fn signal(&self, what: rustix::process::Signal) {
+        signal(self.0.id() as i32, what);
     }
 
     pub fn wait_until_it_lives(&self) {

@@ -59,4 +59,6 @@ pub enum CommandType {
     Bare,
     /// geometry_msgs/Twist
     Twist,
+    /// geometry_msgs/TwistStamped
+    TwistStamped,
 }

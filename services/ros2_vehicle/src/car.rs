@@ -61,8 +61,8 @@ struct Drive {
     ended: bool,
     collided: bool,
     own_stop: bool,
-    /// Another driver has been there, who may have moved the car: this drive does not go on.
-    contested: bool,
+    /// Another driver has been there, who may have moved the car, or the car did not hear us: this drive does not go on.
+    given_up: bool,
 }
 
 /// The newest command.
@@ -141,8 +141,19 @@ impl Car {
     pub fn look_around(&mut self, around: Around) {
         self.around = around;
         if let Some(drive) = &mut self.drive {
-            drive.contested |= around.other_drivers > 0 && drive.clock.is_some();
+            drive.given_up |= around.other_drivers > 0 && drive.clock.is_some();
         }
+    }
+
+    /// The car no longer hears us: should it do so again, it is brought to a stop. Returns whether a drive was under way.
+    pub fn lose(&mut self) -> bool {
+        let drive = self.drive.as_mut().filter(|drive| drive.clock.is_some() && !drive.given_up);
+        drive.map(|drive| drive.given_up = true).is_some()
+    }
+
+    /// Whether the car was sent a command lately.
+    pub fn is_told(&self, now_ns: u64) -> bool {
+        self.told.is_some_and(|(_, at_ns)| now_ns.saturating_sub(at_ns) < 10 * self.tick_ns)
     }
 
     /// Counts odometry that cannot be used.
@@ -207,6 +218,11 @@ impl Car {
         (!is_there).then_some(Waits::Start(off))
     }
 
+    /// What a drive that was requested waits for.
+    pub fn start_waits(&self, now_ns: u64) -> Option<Waits> {
+        self.waits(now_ns).or((!self.around.is_answered).then_some(Waits::Answer))
+    }
+
     /// Whether a request waits for the car to be at the start.
     pub fn is_awaited(&self) -> bool {
         self.drive.is_some_and(|drive| drive.clock.is_none())
@@ -254,7 +270,7 @@ impl Car {
             ended: false,
             collided: false,
             own_stop: false,
-            contested: false,
+            given_up: false,
         });
         self.due_ns = now_ns;
         true
@@ -301,7 +317,7 @@ impl Car {
             Setpoint::default()
         });
         drive.held = Some(Held { tick: header.tick, sent_ns: header.supervisor_sent_ns, setpoint });
-        if drive.contested {
+        if drive.given_up {
             return None;
         }
         // What nobody has received has not been applied.
@@ -320,12 +336,12 @@ impl Car {
             return step;
         }
         let fresh = self.fresh(now_ns);
-        let at_start = self.waits(now_ns).is_none();
+        let waits = self.start_waits(now_ns);
         let Some(mut drive) = self.drive else {
             self.due_ns = u64::MAX;
             return step;
         };
-        if let (None, true, Some(reading)) = (drive.clock, at_start, fresh) {
+        if let (None, None, Some(reading)) = (drive.clock, waits, fresh) {
             drive.alignment = Alignment::new(self.align, reading.pose, drive.start);
             drive.clock = Some((now_ns, 0));
             let Drive { attempt, alignment, .. } = drive;
@@ -333,8 +349,9 @@ impl Car {
         }
         match drive.clock {
             None => {
-                // The car still rolls, or has to be brought to the start: its earlier commands no longer count.
-                if self.told.is_some() {
+                // The car still rolls, or has to be brought to the start: its earlier commands no longer count. One that
+                // stands at the start is told to stay, to see whether it hears that.
+                if self.told.is_some() || waits == Some(Waits::Answer) {
                     step.setpoint = Some(self.stop(fresh, now_ns));
                 }
                 self.due_ns = now_ns + self.tick_ns;
@@ -375,7 +392,7 @@ impl Car {
         drive.own_stop = false;
         let is_young = |sent_ns: u64| now_ns.saturating_sub(sent_ns) <= self.command_age_ns;
         match drive.held {
-            Some(held) if is_young(held.sent_ns) && !drive.contested => held.setpoint,
+            Some(held) if is_young(held.sent_ns) && !drive.given_up => held.setpoint,
             // There cannot be an answer yet.
             None if is_young(since_ns) => Setpoint::default(),
             _ => {

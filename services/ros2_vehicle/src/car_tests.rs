@@ -23,7 +23,7 @@ fn reading(x_m: f64, speed_mps: f64, stamp: i32) -> Reading {
     Reading { pose, speed_mps, yaw_rate_radps: 0.0, stamp, age_ns: None }
 }
 
-const ALONE: Around = Around { is_heard: true, other_drivers: 0 };
+const ALONE: Around = Around { is_heard: true, is_answered: true, other_drivers: 0 };
 
 /// A car that hears us, and nobody else.
 fn car(align: Align) -> Car {
@@ -379,4 +379,35 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn a_drive_begins_once_a_command_is_acknowledged_and_does_not_go_on_once_the_car_is_lost() {
+    let mut car = car(Align::Start);
+    car.look_around(Around { is_answered: false, ..ALONE });
+    car.see(reading(0.0, 0.0, 1), T0);
+    assert_eq!((car.waits(T0), car.start_waits(T0)), (None, Some(Waits::Answer)));
+    // Before a drive is requested, nothing is said to the car.
+    assert_eq!(car.step(T0), Step::default());
+    assert!(car.request(batch(1), &[DriveRequest::default()], T0));
+    for k in 0..5 {
+        let step = car.step(T0 + k * TICK);
+        assert_eq!(
+            (step.setpoint, step.odometry, step.begun),
+            (Some(Setpoint::default()), None, None)
+        );
+    }
+    assert!(!car.lose(), "no drive is under way");
+    car.look_around(ALONE);
+    assert!(car.step(T0 + 5 * TICK).begun.is_some());
+    let (header, commands) = command(0, T0 + 5 * TICK, 2.0, 0);
+    assert_eq!(car.obey(header, &commands, T0 + 6 * TICK).unwrap().speed_mps, 2.0);
+    assert!(car.is_told(T0 + 15 * TICK) && !car.is_told(T0 + 16 * TICK));
+    assert!(car.lose() && !car.lose());
+    let (header, commands) = command(1, T0 + 6 * TICK, 2.0, 0);
+    assert_eq!(car.obey(header, &commands, T0 + 7 * TICK), None);
+    car.see(reading(0.1, 2.0, 2), T0 + 8 * TICK);
+    let step = car.step(T0 + 8 * TICK);
+    let slower_mps = step.setpoint.unwrap().speed_mps;
+    assert!(slower_mps < 2.0 && has(odometry(step).1.status, Odometry::OWN_STOP), "{step:?}");
 }

@@ -3,15 +3,18 @@
 //!
 //! The part that needs no ROS 2 is pure: [`messages`] (as they are on the wire), [`frames`] (which point, in which
 //! frame), [`arrivals`] (how much of it comes, and why it is not used), [`stop`] (commands to the car, and how it comes
-//! to a stop), [`car`] (a drive in real time), [`waits`] (why it does not begin) and [`missing`] (what to say if
-//! something is missing). The process around them needs the feature `dds`, which brings DDS itself: no ROS needs to be
+//! to a stop), [`car`] (a drive in real time), [`hearing`] (whether the commands arrive), [`waits`] (why a drive does not
+//! begin) and [`missing`] (what to say if something is missing). The process around them needs the feature `dds`, which brings DDS itself: no ROS needs to be
 //! installed.
 
 pub mod arrivals;
 #[cfg(feature = "dds")]
 mod begun;
 pub mod car;
+#[cfg(feature = "dds")]
+mod commands;
 pub mod frames;
+pub mod hearing;
 pub mod messages;
 pub mod missing;
 #[cfg(feature = "dds")]
@@ -21,6 +24,8 @@ mod service;
 pub mod stop;
 #[cfg(feature = "dds")]
 mod threads;
+#[cfg(feature = "dds")]
+mod topics;
 pub mod waits;
 
 /// A user's mistake: one line that says what to do.

@@ -71,6 +71,15 @@ pub struct Twist {
     pub angular: Vector3,
 }
 
+/// `geometry_msgs/TwistStamped`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct TwistStamped {
+    /// When it was sent.
+    pub header: Header,
+    /// The speeds.
+    pub twist: Twist,
+}
+
 /// `geometry_msgs/TwistWithCovariance`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[allow(missing_docs, reason = "named after their types")]
@@ -143,6 +152,7 @@ pub fn drive_type(message: DriveMessage) -> (&'static str, &'static str) {
         DriveMessage::Stamped => ("ackermann_msgs", "AckermannDriveStamped"),
         DriveMessage::Bare => ("ackermann_msgs", "AckermannDrive"),
         DriveMessage::Twist => ("geometry_msgs", "Twist"),
+        DriveMessage::TwistStamped => ("geometry_msgs", "TwistStamped"),
     }
 }
 

@@ -25,6 +25,11 @@ pub struct Ours<'a> {
     pub reliability: Ros2Reliability,
 }
 
+/// The name of a ROS topic in DDS.
+pub fn dds_topic(name: &str) -> String {
+    format!("rt{name}")
+}
+
 /// The type's name, as written in DDS.
 pub fn dds_type((package, name): (&str, &str)) -> String {
     format!("{package}::msg::dds_::{name}_")
@@ -90,6 +95,14 @@ pub fn nobody_hears(ours: Ours, subscribers: &[Peer]) -> Option<String> {
     }
     let what = describe(ours, subscribers, fits, "offers");
     Some(format!("nobody receives {}; subscribers seen: {what}", ours.topic))
+}
+
+/// The message about one of several subscribers that does not acknowledge commands.
+pub fn one_does_not_answer(topic: &str, subscribers: usize) -> String {
+    format!(
+        "one of the {subscribers} subscribers of {topic} has acknowledged no command for 0.3 s; if that is the car, it does \
+         not hear them"
+    )
 }
 
 /// The message if another program drives the car before we do.

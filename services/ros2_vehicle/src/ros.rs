@@ -1,34 +1,25 @@
 //! The car's topics on the ROS 2 network.
 
-use std::fmt::Display;
 use std::net::{IpAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
 use config::{CollisionMessage, DriveMessage, Ros2, Ros2Reliability, Vehicle};
-use ros2_client::dds::rustdds::dds::qos::policy;
-use ros2_client::dds::rustdds::{
-    DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Topic,
-};
-use ros2_client::qos::{History, QosProfile, Reliability, WhenFull};
-use ros2_client::{
-    Context, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, Subscription,
-};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use rustdds::no_key::SimpleDataReaderCdr;
+use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Timestamp, policy};
 
 use crate::Refused;
+use crate::commands::Commands;
+use crate::hearing::Answer;
 use crate::messages::{
     AckermannDrive, AckermannDriveStamped, Bool, CarlaCollisionEvent, Header, ODOMETRY, Odometry,
-    Time, Twist, collision_type, drive_type, to_drive, to_twist,
+    Time, Twist, TwistStamped, collision_type, drive_type, to_drive, to_twist,
 };
-use crate::missing::{Ours, Peer};
+use crate::missing::{Ours, Peer, dds_topic};
 use crate::stop::Setpoint;
 use crate::threads::Threads;
+use crate::topics::{Topics, refused};
 use crate::waits::Around;
 
-/// How many commands are kept for a reader that missed one: older ones would be out of date.
-const DRIVE_DEPTH: usize = 10;
 /// How long a publisher of the drive topic may take to be discovered.
 const DISCOVERY: Duration = Duration::from_secs(2);
 
@@ -37,93 +28,42 @@ pub(crate) struct Ros {
     settings: Ros2,
     wheelbase_m: f64,
     participant: DomainParticipant,
+    /// Participants of this process that may not have ended yet.
+    former: Vec<GUID>,
     threads: Threads,
-    odometry: Subscription<Odometry>,
+    odometry: SimpleDataReaderCdr<Odometry>,
     collision: Option<Collision>,
     drive: Drive,
-    // The other fields depend on these.
-    _node: Node,
-    _context: Context,
+    // The others depend on it.
+    _topics: Topics,
 }
 
 enum Drive {
-    Stamped(Publisher<AckermannDriveStamped>),
-    Bare(Publisher<AckermannDrive>),
-    Twist(Publisher<Twist>),
+    Stamped(Commands<AckermannDriveStamped>),
+    Bare(Commands<AckermannDrive>),
+    Twist(Commands<Twist>),
+    TwistStamped(Commands<TwistStamped>),
 }
 
 enum Collision {
-    CarlaEvent(Subscription<CarlaCollisionEvent>),
-    Bool(Subscription<Bool>),
-}
-
-fn refused(what: &str) -> impl Fn(&dyn Display) -> Refused {
-    move |why| Refused(format!("ROS 2: {what}: {why}"))
-}
-
-fn reader(reliability: Ros2Reliability) -> QosProfile {
-    let newest = QosProfile::subscription_default();
-    match reliability {
-        Ros2Reliability::BestEffort => newest.reliability_best_effort(),
-        Ros2Reliability::Reliable => newest.reliability_reliable(WhenFull::Fail),
-    }
-}
-
-fn writer(reliability: Ros2Reliability) -> QosProfile {
-    QosProfile {
-        reliability: match reliability {
-            Ros2Reliability::BestEffort => Reliability::BestEffort,
-            // A subscriber that does not read must not hold up the car.
-            Ros2Reliability::Reliable => Reliability::Reliable { when_full: WhenFull::Fail },
-        },
-        history: History::KeepLast { depth: DRIVE_DEPTH },
-        ..QosProfile::publisher_default()
-    }
-}
-
-struct Maker {
-    node: Node,
-}
-
-impl Maker {
-    fn topic(&mut self, name: &str, of: (&str, &str), qos: &QosProfile) -> Result<Topic, Refused> {
-        let fail = refused(name);
-        let parsed = Name::parse(name).map_err(|why| fail(&format!("{why:?}")))?;
-        self.node
-            .create_topic(&parsed, MessageTypeName::new(of.0, of.1), qos)
-            .map_err(|why| fail(&format!("{why:?}")))
-    }
-
-    fn reader<M: DeserializeOwned + 'static>(
-        &mut self,
-        name: &str,
-        of: (&str, &str),
-        reliability: Ros2Reliability,
-    ) -> Result<Subscription<M>, Refused> {
-        let qos = reader(reliability);
-        let topic = self.topic(name, of, &qos)?;
-        self.node
-            .create_subscription(&topic, Some(qos))
-            .map_err(|why| refused(name)(&format!("{why:?}")))
-    }
-
-    fn writer<M: Serialize>(
-        &mut self,
-        name: &str,
-        of: (&str, &str),
-        reliability: Ros2Reliability,
-    ) -> Result<Publisher<M>, Refused> {
-        let qos = writer(reliability);
-        let topic = self.topic(name, of, &qos)?;
-        self.node
-            .create_publisher(&topic, Some(qos))
-            .map_err(|why| refused(name)(&format!("{why:?}")))
-    }
+    CarlaEvent(SimpleDataReaderCdr<CarlaCollisionEvent>),
+    Bool(SimpleDataReaderCdr<Bool>),
 }
 
 impl Ros {
     /// Joins the network. With `alone`, refuses to do so if there is another driver of the car.
     pub(crate) fn join(vehicle: &Vehicle, alone: bool) -> Result<Self, Refused> {
+        Self::join_after(vehicle, alone, Vec::new())
+    }
+
+    /// Joins the network anew.
+    pub(crate) fn rejoin(vehicle: &Vehicle, before: &Self) -> Result<Self, Refused> {
+        let mut former = before.former.clone();
+        former.push(before.participant.guid());
+        Self::join_after(vehicle, false, former)
+    }
+
+    fn join_after(vehicle: &Vehicle, alone: bool, former: Vec<GUID>) -> Result<Self, Refused> {
         let settings = &vehicle.ros2;
         let mut builder = DomainParticipantBuilder::new(settings.domain_id);
         if let Ok(address) = settings.network.parse::<IpAddr>() {
@@ -138,14 +78,12 @@ impl Ros {
         }
         let fail = refused("cannot join the network");
         let (participant, threads) = Threads::of(|| builder.build())
-            .map_err(|why| fail(&format!("its threads cannot be watched: {why}")))?;
-        let participant = participant.map_err(|why| fail(&format!("{why:?}")))?;
-        let context = Context::from_domain_participant(participant.clone())
-            .map_err(|why| fail(&format!("{why:?}")))?;
+            .map_err(|why| fail(&format_args!("its threads cannot be watched: {why}")))?;
+        let participant = participant.map_err(|why| fail(&why))?;
         if alone {
             let until = Instant::now() + DISCOVERY;
             while Instant::now() < until {
-                let others = writers(&participant, &settings.drive_topic).len();
+                let others = writers(&participant, &former, &settings.drive_topic).len();
                 if others > 0 {
                     return Err(Refused(crate::missing::driven_by_others(
                         &settings.drive_topic,
@@ -155,40 +93,42 @@ impl Ros {
                 std::thread::sleep(Duration::from_millis(20));
             }
         }
-        let name = NodeName::new("/", "pathtune_vehicle").expect("a valid node name");
-        // The node needs no parameters, and the log is our own.
-        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
-        let node = context.new_node(name, options).map_err(|why| fail(&format!("{why:?}")))?;
-        let mut make = Maker { node };
+        let mut topics = Topics::new(&participant)?;
         let odometry =
-            make.reader(&settings.odometry_topic, ODOMETRY, settings.odometry_reliability)?;
+            topics.reader(&settings.odometry_topic, ODOMETRY, settings.odometry_reliability)?;
         let of = drive_type(settings.drive_message);
         let (topic, reliability) = (&settings.drive_topic, settings.drive_reliability);
         let drive = match settings.drive_message {
-            DriveMessage::Stamped => Drive::Stamped(make.writer(topic, of, reliability)?),
-            DriveMessage::Bare => Drive::Bare(make.writer(topic, of, reliability)?),
-            DriveMessage::Twist => Drive::Twist(make.writer(topic, of, reliability)?),
+            DriveMessage::Stamped => Drive::Stamped(topics.writer(topic, of, reliability)?),
+            DriveMessage::Bare => Drive::Bare(topics.writer(topic, of, reliability)?),
+            DriveMessage::Twist => Drive::Twist(topics.writer(topic, of, reliability)?),
+            DriveMessage::TwistStamped => {
+                Drive::TwistStamped(topics.writer(topic, of, reliability)?)
+            }
         };
         let of = collision_type(settings.collision_message);
         let (topic, reliability) = (&settings.collision_topic, settings.collision_reliability);
         let collision = match settings.collision_message {
             _ if topic.is_empty() => None,
             CollisionMessage::CarlaEvent => {
-                Some(Collision::CarlaEvent(make.reader(topic, of, reliability)?))
+                Some(Collision::CarlaEvent(topics.reader(topic, of, reliability)?))
             }
-            CollisionMessage::Bool => Some(Collision::Bool(make.reader(topic, of, reliability)?)),
+            CollisionMessage::Bool => {
+                Some(Collision::Bool(topics.reader(topic, of, reliability)?))
+            }
         };
+        topics.announce();
         let settings = settings.clone();
         Ok(Self {
             settings,
             wheelbase_m: vehicle.wheelbase_m,
             participant,
+            former,
             threads,
             odometry,
             collision,
             drive,
-            _node: make.node,
-            _context: context,
+            _topics: topics,
         })
     }
 
@@ -199,10 +139,11 @@ impl Ros {
 
     /// The next odometry that has come, and when it was sent by its sender's clock; an error if it cannot be parsed.
     pub(crate) fn next_odometry(&self) -> Result<Option<(Odometry, Time)>, String> {
-        let taken = self.odometry.take().map_err(|why| why.to_string())?;
-        Ok(taken.map(|(odometry, info)| {
-            let sent_ns = info.source_timestamp().map(|time| time.to_nanos());
-            (odometry, sent_ns.map_or_else(wall_clock, to_time))
+        self.odometry.drain_read_notifications();
+        let taken = self.odometry.try_take_one().map_err(|why| why.to_string())?;
+        Ok(taken.map(|sample| {
+            let sent = sample.source_timestamp().and_then(to_time).unwrap_or_else(wall_clock);
+            (sample.into_value(), sent)
         }))
     }
 
@@ -212,13 +153,15 @@ impl Ros {
         match &self.collision {
             None => {}
             Some(Collision::CarlaEvent(reader)) => {
-                while let Ok(Some(_)) = reader.take() {
+                reader.drain_read_notifications();
+                while let Ok(Some(_)) = reader.try_take_one() {
                     any = true;
                 }
             }
             Some(Collision::Bool(reader)) => {
-                while let Ok(Some((told, _))) = reader.take() {
-                    any |= told.data;
+                reader.drain_read_notifications();
+                while let Ok(Some(told)) = reader.try_take_one() {
+                    any |= told.into_value().data;
                 }
             }
         }
@@ -226,21 +169,30 @@ impl Ros {
     }
 
     /// Sends a command to the car.
-    pub(crate) fn tell(&self, setpoint: Setpoint) -> Result<(), String> {
+    pub(crate) fn tell(&mut self, setpoint: Setpoint) -> Result<(), String> {
         let sign = self.settings.steering_sign;
         let drive = to_drive(setpoint, sign);
-        match &self.drive {
-            Drive::Bare(writer) => writer.publish(drive).map_err(|why| why.to_string()),
-            Drive::Twist(writer) => {
-                let twist = to_twist(setpoint, sign, self.wheelbase_m);
-                writer.publish(twist).map_err(|why| why.to_string())
+        let header = || Header { stamp: wall_clock(), frame_id: self.settings.drive_frame.clone() };
+        let twist = to_twist(setpoint, sign, self.wheelbase_m);
+        match &mut self.drive {
+            Drive::Bare(commands) => commands.send(drive),
+            Drive::Twist(commands) => commands.send(twist),
+            Drive::Stamped(commands) => {
+                commands.send(AckermannDriveStamped { header: header(), drive })
             }
-            Drive::Stamped(writer) => {
-                let header =
-                    Header { stamp: wall_clock(), frame_id: self.settings.drive_frame.clone() };
-                let message = AckermannDriveStamped { header, drive };
-                writer.publish(message).map_err(|why| why.to_string())
+            Drive::TwistStamped(commands) => {
+                commands.send(TwistStamped { header: header(), twist })
             }
+        }
+    }
+
+    /// Whether what was sent has arrived.
+    pub(crate) fn answer(&mut self) -> Answer {
+        match &mut self.drive {
+            Drive::Bare(commands) => commands.answer(),
+            Drive::Twist(commands) => commands.answer(),
+            Drive::Stamped(commands) => commands.answer(),
+            Drive::TwistStamped(commands) => commands.answer(),
         }
     }
 
@@ -258,8 +210,15 @@ impl Ros {
     pub(crate) fn around(&self) -> Around {
         Around {
             is_heard: self.nobody_hears().is_none(),
-            other_drivers: writers(&self.participant, &self.settings.drive_topic).len(),
+            is_answered: false,
+            other_drivers: self.writers(&self.settings.drive_topic).len(),
         }
+    }
+
+    /// How many receive the commands and acknowledge them.
+    pub(crate) fn answerers(&self) -> usize {
+        let is_one = |peer: &Peer| peer.reliability == Ros2Reliability::Reliable;
+        self.readers().iter().filter(|peer| is_one(peer)).count()
     }
 
     /// The message about odometry that does not come.
@@ -267,7 +226,7 @@ impl Ros {
         let topic = &self.settings.odometry_topic;
         let reliability = self.settings.odometry_reliability;
         let ours = Ours { topic, of_type: ODOMETRY, reliability };
-        let publishers = writers(&self.participant, topic);
+        let publishers = self.writers(topic);
         crate::missing::no_odometry(ours, &publishers, self.settings.domain_id)
     }
 
@@ -276,39 +235,46 @@ impl Ros {
         let topic = &self.settings.drive_topic;
         let of_type = drive_type(self.settings.drive_message);
         let ours = Ours { topic, of_type, reliability: self.settings.drive_reliability };
-        let subscribers: Vec<Peer> = self
-            .participant
+        crate::missing::nobody_hears(ours, &self.readers())
+    }
+
+    /// Publishers of a topic that are not ours.
+    fn writers(&self, topic: &str) -> Vec<Peer> {
+        writers(&self.participant, &self.former, topic)
+    }
+
+    /// Subscribers of the commands.
+    fn readers(&self) -> Vec<Peer> {
+        let topic = dds_topic(&self.settings.drive_topic);
+        self.participant
             .discovered_readers()
             .iter()
             .map(|reader| &reader.subscription_topic_data)
-            .filter(|data| *data.topic_name() == dds_topic(topic))
+            .filter(|data| *data.topic_name() == topic)
             .map(|data| Peer {
                 type_name: data.type_name().clone(),
                 reliability: reliability(data.qos().reliability(), Ros2Reliability::BestEffort),
             })
-            .collect();
-        crate::missing::nobody_hears(ours, &subscribers)
+            .collect()
     }
 }
 
-/// Publishers of a topic that are not ours. By multicast, a participant discovers itself as well.
-fn writers(participant: &DomainParticipant, topic: &str) -> Vec<Peer> {
-    let GUID { prefix: ours, .. } = participant.guid();
+/// Publishers of a topic that are not of this process. By multicast, a participant discovers itself as well.
+fn writers(participant: &DomainParticipant, former: &[GUID], topic: &str) -> Vec<Peer> {
+    let is_ours = |guid: GUID| {
+        guid.prefix == participant.guid().prefix || former.iter().any(|it| it.prefix == guid.prefix)
+    };
+    let topic = dds_topic(topic);
     participant
         .discovered_writers()
         .iter()
         .map(|writer| &writer.publication_topic_data)
-        .filter(|data| data.key.prefix != ours && *data.topic_name() == dds_topic(topic))
+        .filter(|data| !is_ours(data.key) && *data.topic_name() == topic)
         .map(|data| Peer {
             type_name: data.type_name.clone(),
             reliability: reliability(data.reliability, Ros2Reliability::Reliable),
         })
         .collect()
-}
-
-/// The name of a ROS topic in DDS.
-fn dds_topic(name: &str) -> String {
-    format!("rt{name}")
 }
 
 /// The reliability that a peer announces. DDS lets it leave out what is the default: that of a writer is reliable, that
@@ -329,7 +295,10 @@ fn wall_clock() -> Time {
     Time { sec: since.as_secs() as i32, nanosec: since.subsec_nanos() }
 }
 
-fn to_time(ns: i64) -> Time {
-    let second_ns = 1_000_000_000;
-    Time { sec: ns.div_euclid(second_ns) as i32, nanosec: ns.rem_euclid(second_ns) as u32 }
+/// What DDS counts in shares of 2⁻³² s.
+fn to_time(sent: Timestamp) -> Option<Time> {
+    let ticks = sent.to_ticks();
+    let nanosec = ((ticks & u64::from(u32::MAX)) * 1_000_000_000) >> 32;
+    let is_one = sent != Timestamp::INVALID && sent != Timestamp::INFINITE;
+    is_one.then_some(Time { sec: (ticks >> 32) as i32, nanosec: nanosec as u32 })
 }

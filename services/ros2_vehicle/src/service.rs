@@ -14,7 +14,8 @@ use crate::arrivals::{Arrivals, NotUsed};
 use crate::begun::BatchFile;
 use crate::car::{Begun, Car};
 use crate::frames::Reader;
-use crate::missing::{driven_by_others, joined_by_others, odometry_not_used};
+use crate::hearing::Hearing;
+use crate::missing::{driven_by_others, joined_by_others, odometry_not_used, one_does_not_answer};
 use crate::ros::Ros;
 use crate::stop::Setpoint;
 use crate::waits::Around;
@@ -55,6 +56,7 @@ struct Adapter {
     arrivals: Arrivals,
     car: Car,
     around: Around,
+    hearing: Hearing,
     batch_file: PathBuf,
     /// A drive that an earlier incarnation of this process had begun.
     begun_before: Option<Begun>,
@@ -89,6 +91,7 @@ impl Adapter {
             arrivals: Arrivals::default(),
             car: Car::new(config, attachment.names.run),
             around: Around::default(),
+            hearing: Hearing::default(),
             batch_file,
             begun_before,
             look_ns: 0,
@@ -141,16 +144,66 @@ impl Adapter {
         if self.ros.is_alive() {
             return Ok(());
         }
-        let ended = std::mem::replace(&mut self.ros, Ros::join(&self.vehicle, false)?);
-        // This takes down what has not ended yet, and may wait for what no longer answers.
-        std::thread::spawn(move || drop(ended));
+        self.rejoin()?;
         tracing::warn!(
             "this process was stopped for a moment, which ended its link to the car; it has joined the network again"
         );
+        Ok(())
+    }
+
+    /// Joins the network anew.
+    ///
+    /// # Errors
+    /// If it cannot be joined.
+    fn rejoin(&mut self) -> Result<()> {
+        let joined = Ros::rejoin(&self.vehicle, &self.ros)?;
+        let ended = std::mem::replace(&mut self.ros, joined);
+        // This takes down what has not ended yet, and may wait for what no longer answers.
+        std::thread::spawn(move || drop(ended));
         // Nobody hears us until we are discovered.
         self.around = Around::default();
+        self.hearing.ask_again();
         self.car.look_around(self.around);
         self.notices.due_ns = 0;
+        Ok(())
+    }
+
+    /// Looks whether the commands arrive.
+    ///
+    /// # Errors
+    /// If they do not, and the network cannot be joined anew.
+    fn listen(&mut self, now_ns: u64) -> Result<()> {
+        let was_silent = self.hearing.is_silent();
+        let (answer, is_told) = (self.ros.answer(), self.car.is_told(now_ns));
+        self.hearing.look(answer, is_told, now_ns);
+        if self.around.is_answered != self.hearing.is_answered() {
+            self.around.is_answered = self.hearing.is_answered();
+            self.car.look_around(self.around);
+        }
+        if !self.hearing.is_silent() {
+            return Ok(());
+        }
+        let topic = self.ros.drive_topic();
+        let answerers = self.ros.answerers();
+        if answerers > 1 {
+            // One that only listens must not stop the car.
+            if !was_silent {
+                tracing::warn!("{}", one_does_not_answer(topic, answerers));
+            }
+            return Ok(());
+        }
+        if self.hearing.is_lost() && self.car.lose() {
+            tracing::warn!(
+                "no command on {topic} has been acknowledged for a second: should the car hear us again, it is \
+                 stopped; this drive does not go on"
+            );
+        }
+        if answerers == 1 && self.hearing.rejoins(now_ns) {
+            tracing::warn!(
+                "no command on {topic} has been acknowledged for 0.3 s; joining the network anew"
+            );
+            self.rejoin()?;
+        }
         Ok(())
     }
 
@@ -171,6 +224,7 @@ impl Adapter {
             let joined = !self.car.is_awaited();
             let Attempt { batch, attempt, .. } = header.attempt;
             tracing::info!(batch, attempt, joined, "requested");
+            self.hearing.ask_again();
             self.notices.start_ns = now_ns;
         }
         Ok(true)
@@ -207,7 +261,9 @@ impl Adapter {
     /// # Errors
     /// If another program drives the car, and this one has not yet.
     fn look_around(&mut self, now_ns: u64) -> Result<()> {
-        let around = self.ros.around();
+        let mut around = self.ros.around();
+        around.is_answered = self.hearing.is_answered();
+        around.is_heard &= !self.hearing.is_silent() || self.ros.answerers() > 1;
         if around.other_drivers > self.around.other_drivers {
             let (topic, others) = (self.ros.drive_topic(), around.other_drivers);
             // Discovery may take longer than a start may. Once the car is on the road, it is too late to leave it to
@@ -262,7 +318,7 @@ impl Adapter {
         }
         if self.car.is_awaited() && now_ns >= self.notices.start_ns {
             self.notices.start_ns = now_ns + FIRST_TOLD_NS;
-            if let Some(waits) = self.car.waits(now_ns) {
+            if let Some(waits) = self.car.start_waits(now_ns) {
                 tracing::warn!("{waits}");
             }
         }
@@ -292,15 +348,20 @@ impl Drop for Adapter {
             self.tell(Setpoint::default());
             std::thread::sleep(BETWEEN_STOPS);
         }
-        tracing::info!("told the car to stop");
+        tracing::info!(
+            "told the car to stop; commands were acknowledged after {:.3} s at most",
+            self.hearing.longest_ns() as f64 * 1e-9
+        );
     }
 }
 
 impl Service for Adapter {
     fn poll(&mut self) -> Result<bool> {
         // Before anything is said of the car: what DDS took in before it ended may be old.
-        if now_ns() >= self.look_ns {
+        let now = now_ns();
+        if now >= self.look_ns {
             self.mend()?;
+            self.listen(now)?;
         }
         let mut any = self.take_request()?;
         while let Some(command) = self.commands.receive()? {

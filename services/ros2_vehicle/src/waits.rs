@@ -5,6 +5,8 @@
 pub struct Around {
     /// Somebody receives the commands.
     pub is_heard: bool,
+    /// A command has been acknowledged, or whoever receives them acknowledges none.
+    pub is_answered: bool,
     /// How many others send commands.
     pub other_drivers: usize,
 }
@@ -24,6 +26,11 @@ pub enum Waits {
     /// It is not known where the car is.
     #[error("the drive waits for odometry")]
     Odometry,
+    /// It is not known whether commands arrive.
+    #[error(
+        "the drive waits for somebody to acknowledge a command: whoever receives them does not answer"
+    )]
+    Answer,
     /// Commands would go nowhere.
     #[error("the drive waits for somebody who receives the commands")]
     Subscriber,
