@@ -302,6 +302,32 @@ fn check_limits(config: &RunConfig, commands: &[(u64, WireCommand)]) {
     }
 }
 
+/// A stop for what does not lie in the drive is driven again three times, and then the training ends with the cause.
+#[test]
+fn a_training_whose_car_jumps_in_every_drive_is_given_up_with_the_cause() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("bend.csv"), bend()).unwrap();
+    let jumping = car("ever_jumping_car");
+    let args = ["train", "--path", "bend.csv", "--vehicle", "ackermann", "--episodes", "1"];
+    let output = sandbox.run(&[&args[..], &["--replace", &jumping, "--out", "out"]].concat());
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(70), "{told}");
+    let cause = "gave up: the vehicle was stopped 3 times on the same drive, and again: the measured pose jumped";
+    assert!(told.contains(cause), "{told}");
+    assert!(told.contains("go on with: pathtune train --resume"), "{told}");
+    let log = sandbox.text("out/logs/orchestrator.log");
+    assert_eq!(log.matches(" reissued ").count(), 3, "{log}");
+    assert_eq!(told.matches("vehicle 0 stands").count(), 4, "{told}");
+    sandbox.assert_clean();
+}
+
+/// Not a test: a car by the clock whose localisation never comes to rest.
+#[test]
+#[ignore = "a process of the tests above"]
+fn ever_jumping_car() {
+    run_car(|tick, car| car.apart.y_m = if tick > 60 { 5.0 * tick as f64 } else { 0.0 });
+}
+
 /// Not a test: a car by the clock whose own safety holds it for 3 s.
 #[test]
 #[ignore = "a process of the tests above"]
@@ -373,6 +399,7 @@ impl Car {
     fn start(&mut self, of: BatchHeader, request: &DriveRequest) -> Result<()> {
         let WirePose { x_m, y_m, yaw_rad } = request.start;
         self.vehicle.reset(Pose { x_m, y_m, yaw_rad }, None);
+        self.apart = Pose::default();
         self.command = (0, WireCommand::default());
         self.zero_ns = now_ns();
         self.publish(TickHeader { attempt: of.attempt, ..TickHeader::default() })

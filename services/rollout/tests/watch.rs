@@ -79,6 +79,12 @@ fn healthy_vehicles_are_not_stopped() {
         ("lane_change guarded engaged", maneuver("lane_change", guarded, &engaged)),
         ("roundabout guarded", maneuver("roundabout", guarded, &noise)),
         ("circuit guarded", maneuver("circuit", guarded, &noise)),
+        ("smooth_lane guarded", maneuver("smooth_lane", guarded, &noise)),
+        ("smooth_lane ackermann", maneuver("smooth_lane", "ackermann", &noise)),
+        ("smooth_lane f1tenth", maneuver("smooth_lane", "f1tenth", &noise)),
+        ("lane_change f1tenth", maneuver("lane_change", "f1tenth", &noise)),
+        ("roundabout f1tenth", maneuver("roundabout", "f1tenth", &noise)),
+        ("circuit f1tenth", maneuver("circuit", "f1tenth", &noise)),
         ("lane_change ackermann", maneuver("lane_change", "ackermann", &noise)),
         ("roundabout ackermann", maneuver("roundabout", "ackermann", &noise)),
         ("circuit ackermann", maneuver("circuit", "ackermann", &noise)),
@@ -237,6 +243,32 @@ fn faulty_vehicles_are_stopped_in_time() {
                 }
             }
         }
+    }
+}
+
+/// Something holds it that no file states, such as a gear: that is told, the reference waits, and it arrives.
+#[test]
+fn a_vehicle_that_is_held_for_eight_seconds_is_told_and_arrives() {
+    let noise = ["noise.enabled=true", "vehicle.gear_engaged=true"];
+    for (vehicle, speed_mps) in
+        [("tesla_model_3_guarded", 1.5), ("ackermann", 2.0), ("f1tenth", 1.5)]
+    {
+        let config = own_path(vehicle, speed_mps, &noise);
+        let ticks = (8.0 / config.drive.tick_s) as u64;
+        let (mut highest_mps, mut farthest_m) = (0.0f64, 0.0f64);
+        for seed in 0..drives(3) {
+            let car = FaultyCar::new(&config, Fault::Held, 0, ticks);
+            let record = Rollout::around(car, &config).drive_with(gains(), Some(seed), |_, it| {
+                highest_mps = highest_mps.max(it.observation.speed_mps);
+            });
+            assert_eq!(record.reason, EndReason::Goal, "{vehicle}: {record:?}");
+            assert_eq!((record.stopped_for, record.slowed_for), (0, Safety::STANDS), "{vehicle}");
+            farthest_m = farthest_m.max(record.path_max_m);
+        }
+        println!(
+            "{vehicle}, held for 8 s: at most {highest_mps:.2} m/s on a path for {speed_mps} m/s, {farthest_m:.2} m off"
+        );
+        assert!(highest_mps < 1.6 * speed_mps, "{vehicle}: {highest_mps} m/s");
     }
 }
 
