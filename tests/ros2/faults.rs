@@ -125,7 +125,7 @@ fn a_drive_goes_on_when_its_adapter_was_paused() {
     sandbox.assert_clean();
 }
 
-// By hand: 5 of 20 times, on a busy machine, the drive began before the stopped ear could have answered, or was not told
+// By hand: 5 of 25 times, on a busy machine, the drive began although the ear had been told to stop, or was not told
 // to be given up after the network was joined anew. Why is not known yet.
 #[test]
 #[ignore = "fails now and then"]
