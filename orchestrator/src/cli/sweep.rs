@@ -56,6 +56,9 @@ pub enum SweepCommand {
         /// The table to write [default: the manifest with the ending .csv]
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
+        /// Write the table as a Parquet file, too (a build with the feature parquet)
+        #[arg(long)]
+        parquet: bool,
     },
 }
 

@@ -90,7 +90,16 @@ fn cells(it: &Figures) -> [String; FIGURES.len()] {
 ///
 /// # Errors
 /// If a line or record is damaged, or a job is missing; the table is written all the same.
-pub(crate) fn collect(at: &StudyArg, out: Option<&Path>, draw: Draw) -> Result<(), Failure> {
+pub(crate) fn collect(
+    at: &StudyArg,
+    out: Option<&Path>,
+    parquet: bool,
+    draw: Draw,
+) -> Result<(), Failure> {
+    if parquet && cfg!(not(feature = "parquet")) {
+        let why = "--parquet: this build writes no Parquet; build pathtune with --features parquet";
+        return Err(Failure::User(why.to_owned()));
+    }
     let manifest = Manifest::open(&at.manifest)?;
     let store = Store::of(at);
     let out = out.map_or_else(|| at.manifest.with_extension("csv"), Path::to_owned);
@@ -154,6 +163,10 @@ pub(crate) fn collect(at: &StudyArg, out: Option<&Path>, draw: Draw) -> Result<(
 
     groups.print(&axes)?;
     say!("{}", out.display());
+    #[cfg(feature = "parquet")]
+    if parquet {
+        say!("{}", crate::study::parquet::write(&out)?.display());
+    }
     match draw(&out) {
         Ok(page) => say!("{}", page.display()),
         // The table is valid even if its pictures cannot be drawn.
@@ -286,7 +299,7 @@ mod tests {
         for index in [0, 1, 3] {
             store.keep(&record(&job(index).job, index, 0.5 + index as f64), b"").unwrap();
         }
-        let why = collect(&at, None, draw).unwrap_err();
+        let why = collect(&at, None, false, draw).unwrap_err();
         assert_eq!(why.code(), 75);
         let text = fs::read_to_string(folder.path().join("s.csv")).unwrap();
         let rows: Vec<Vec<String>> = csv::Reader::from_reader(text.as_bytes())
@@ -311,12 +324,12 @@ mod tests {
         assert_eq!(said, [whole, "1 of 2 distance – – – – –"]);
 
         store.keep(&record(&job(2).job, 2, 2.5), b"").unwrap();
-        collect(&at, None, draw).unwrap();
+        collect(&at, None, false, draw).unwrap();
         let whole = fs::read_to_string(folder.path().join("s.csv")).unwrap();
         // A damaged record is named, and its job has no figures.
         let path = store.folder.join("00").join(format!("{}.json", job(2).job));
         fs::write(&path, "{").unwrap();
-        assert_eq!(collect(&at, None, draw).unwrap_err().code(), 64);
+        assert_eq!(collect(&at, None, false, draw).unwrap_err().code(), 64);
         assert_eq!(fs::read_to_string(folder.path().join("s.csv")).unwrap(), text);
         assert_ne!(whole, text);
     }
@@ -344,7 +357,7 @@ mod tests {
             store.keep(&record(&job(index).job, index, 1.0 / (1 + index) as f64), b"{}").unwrap();
         }
         let kept = started.elapsed() - planned;
-        collect(&at, None, draw).unwrap();
+        collect(&at, None, false, draw).unwrap();
         let collected = started.elapsed() - planned - kept;
         let status = fs::read_to_string("/proc/self/status").unwrap();
         let peak = status.lines().find(|line| line.starts_with("VmHWM")).unwrap_or_default();

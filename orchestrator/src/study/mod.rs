@@ -12,6 +12,8 @@ mod identity;
 mod job;
 mod local;
 mod manifest;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod plan;
 mod progress;
 mod record;
@@ -60,6 +62,8 @@ pub(crate) fn sweep(command: &SweepCommand, services: Services, draw: Draw) -> R
         SweepCommand::Parallel(args) => print_line(scripts::parallel(args)?.trim_end()),
         SweepCommand::Kubernetes(args) => print_line(scripts::kubernetes(args)?.trim_end()),
         SweepCommand::Status { at, json } => status::status(at, *json),
-        SweepCommand::Collect { at, out } => collect::collect(at, out.as_deref(), draw),
+        SweepCommand::Collect { at, out, parquet } => {
+            collect::collect(at, out.as_deref(), *parquet, draw)
+        }
     }
 }
