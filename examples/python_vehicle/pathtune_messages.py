@@ -143,6 +143,7 @@ class RawCommand(Struct):
         ("reserved", ctypes.c_uint32),
     ]
     FROZEN = 65536
+    STRAIGHTENED = 131072
 
     @staticmethod
     def type_name() -> str:
@@ -178,6 +179,8 @@ class Command(Struct):
     DEGRADED = 128
     STOPPING = 256
     STOPPED = 512
+    BRAKED = 1024
+    STEERED = 2048
 
     @staticmethod
     def type_name() -> str:
@@ -476,8 +479,19 @@ class Safety(Struct):
     STEERING_IGNORED = 1024
     SPEED_IGNORED = 2048
     STANDS = 4096
+    OUT_BY_QUALITY = 131072
+    OUT_BY_LATERAL_ERROR = 262144
+    OUT_BY_ALONG = 524288
+    OUT_BY_LATERAL = 1048576
+    OUT_BY_YAW = 2097152
+    OUT_BY_NOISE = 4194304
     NO_LEG = 65536
-    OF_THE_DRIVE = 3968
+    OF_THE_DRIVE = 8261504
+    OUT_OF_ENVELOPE = 8257536
+    BLIND = 63
+    STRAIGHTENS = 575
+    BRAKES = 2493888
+    RESTS = 5767168
 
     @staticmethod
     def type_name() -> str:

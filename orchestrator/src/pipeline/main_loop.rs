@@ -57,6 +57,10 @@ const WARN_EVERY_NS: u64 = 1_000_000_000;
 /// Time between two checks for dead children while messages flow.
 const REAP_EVERY_NS: u64 = 1_000_000;
 
+/// What is told of the brake of a vehicle whose file allows no negative speed.
+const NO_BRAKE: &str =
+    ", at a command of 0 m/s, as its file allows none below (vehicle.safety.reverse_limit_mps)";
+
 /// A running pipeline.
 pub(crate) struct Pipeline<'a> {
     attachment: Attachment,
@@ -79,6 +83,8 @@ pub(crate) struct Pipeline<'a> {
     by_clock: bool,
     /// The gate of each slot.
     gates: Vec<GateLog>,
+    /// A negative speed may be commanded, which brakes the vehicle.
+    brakes: bool,
     /// A process of the ring died, or a message was lost: the batch under way will not end.
     batch_is_broken: bool,
     /// The latest batch and tick that any process reported; `seen_ns` is when that of any process last changed.
@@ -169,6 +175,7 @@ impl<'a> Pipeline<'a> {
             realtime,
             by_clock: false,
             gates: Vec::new(),
+            brakes: config.vehicle.safety.reverse_limit_mps > 0.0,
             batch_is_broken: false,
             seen: (0, 0),
             seen_ns: 0,
@@ -360,11 +367,14 @@ impl<'a> Pipeline<'a> {
                 let of_the_drive = now.reasons & Safety::OF_THE_DRIVE != 0;
                 let why = describe_reasons(now.reasons);
                 match now.state {
-                    Safety::STOPPING if self.realtime && !of_the_drive => self.progress.notice(&format!(
-                        "vehicle {slot} is being stopped: {why}; `pathtune rearm` lets it drive again"
-                    )),
                     Safety::STOPPING => {
-                        self.progress.notice(&format!("vehicle {slot} is being stopped: {why}"));
+                        let how = Safety::words_of_action(Safety::action_name(now.reasons));
+                        let gently = if self.brakes { "" } else { NO_BRAKE };
+                        let on = self.realtime && !of_the_drive;
+                        let on = if on { "; `pathtune rearm` lets it drive again" } else { "" };
+                        self.progress.notice(&format!(
+                            "vehicle {slot} is being stopped: {why}; {how}{gently}{on}"
+                        ));
                     }
                     Safety::STOPPED => {
                         self.progress.notice(&format!("vehicle {slot} stands"));

@@ -12,7 +12,7 @@ use outcome::{
 
 use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::runs::running::RunFacts;
-use crate::words::tables::in_words;
+use crate::words::tables::{how_stopped, in_words};
 use crate::words::terminal::{say, tell};
 use crate::words::{Failure, tables};
 
@@ -64,9 +64,11 @@ fn why_not_arrived(drive: &SingleDrive, config: &RunConfig) -> Option<String> {
         "time" => Some(format!("its time was over {place} (drive.loop_time_s)")),
         "collision" => Some(format!("a collision {place}")),
         "held" => Some(format!("the vehicle did not follow, {place} (reference.wait_limit_s)")),
-        _ => {
-            Some(format!("the gate stopped the vehicle {place}: {}", in_words(&drive.stopped_for)))
-        }
+        _ => Some(format!(
+            "the gate stopped the vehicle {place}{}: {}",
+            how_stopped(drive),
+            in_words(&drive.stopped_for)
+        )),
     }
 }
 

@@ -260,9 +260,12 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
             digits(it.path_speed_mps, 2)
         );
     }
-    for (what, reasons) in [("stopped", &it.stopped_for), ("slowed down", &it.slowed_for)] {
+    let how = how_stopped(it);
+    for (what, how, reasons) in
+        [("stopped", &*how, &it.stopped_for), ("slowed down", "", &it.slowed_for)]
+    {
         if !reasons.is_empty() {
-            say!("the gate {what} the vehicle: {}", in_words(reasons));
+            say!("the gate {what} the vehicle{how}: {}", in_words(reasons));
         }
     }
     if it.joined {
@@ -294,6 +297,12 @@ pub(super) fn say_effort(whose: &str, it: &Measures, config: &RunConfig) -> Resu
         digits(it.lateral_jerk_max_mps3, 1),
     );
     Ok(())
+}
+
+/// How the gate stopped a vehicle, in words behind a space; nothing if that is not known.
+pub(crate) fn how_stopped(it: &SingleDrive) -> String {
+    let how = it.stopped_how.as_deref().map(Safety::words_of_action);
+    how.map(|how| format!(" {how}")).unwrap_or_default()
 }
 
 /// Reasons of the gate in words.

@@ -34,6 +34,8 @@ pub(crate) struct ObservedRun {
     vehicle: Vehicle,
     /// Whether the fleet was seen to have the wanted slot.
     is_in_range: bool,
+    /// What the gate did about an alarm, as bits of the last command's flags.
+    acts: u32,
     budget_ns: u64,
     restarts: BTreeMap<String, u32>,
     began_ns: u64,
@@ -103,6 +105,7 @@ impl ObservedRun {
                 ..Vehicle::default()
             },
             is_in_range: false,
+            acts: 0,
             budget_ns,
             restarts: BTreeMap::new(),
             began_ns: now_ns,
@@ -145,6 +148,11 @@ impl ObservedRun {
         for _ in 0..OBSERVER_BUFFER {
             let Some(message) = self.commands.receive()? else { break };
             self.latency.command(message.header());
+            if let Some(command) = message.items().get(slot) {
+                let acts = command.flags & (Command::BRAKED | Command::STEERED);
+                self.vehicle.actions += u64::from(acts != 0 && acts != self.acts);
+                self.acts = acts;
+            }
             newest = Some(message);
         }
         let Some(newest) = newest else { return Ok(()) };

@@ -171,6 +171,9 @@ pub struct Vehicle {
     pub changed_commands: u64,
     /// Commands of the gate's own in this drive: degraded, stopping or stopped.
     pub own_commands: u64,
+    /// How often, while the monitor looked on, the gate began to do something about an alarm: see the flags `braked` and
+    /// `steered`.
+    pub actions: u64,
     /// The vehicle stops on its own, because its newest command is too old.
     pub own_stop: bool,
 }
@@ -275,6 +278,7 @@ impl Report {
         add("vehicle_reasons", self.vehicle.reasons.join("|"));
         add("vehicle_changed_commands", self.vehicle.changed_commands.to_string());
         add("vehicle_own_commands", self.vehicle.own_commands.to_string());
+        add("vehicle_actions", self.vehicle.actions.to_string());
         add("vehicle_own_stop", self.vehicle.own_stop.to_string());
         columns
     }

@@ -249,7 +249,7 @@ fn draw_head(frame: &mut Frame, area: Rect, picture: &Picture) {
         total.implausible + total.strays,
     ));
     let gate = Line::raw(format!(
-        "gate {}   {}   changed {}   own {}{}",
+        "gate {}   {}   changed {}   own {}   actions {}{}",
         vehicle.gate,
         if vehicle.reasons.is_empty() {
             "nothing wrong".to_owned()
@@ -258,6 +258,7 @@ fn draw_head(frame: &mut Frame, area: Rect, picture: &Picture) {
         },
         vehicle.changed_commands,
         vehicle.own_commands,
+        vehicle.actions,
         if vehicle.own_stop { "   the vehicle stops on its own" } else { "" },
     ));
     let lines = vec![

@@ -21,6 +21,10 @@ pub struct SingleDrive {
     /// What the gate stopped the vehicle for.
     #[serde(default)]
     pub stopped_for: Vec<String>,
+    /// How the gate stopped it: `rest` (its reference came to rest, and it followed), `brake` (a full brake, steered by the
+    /// law) or `brake_straight` (a full brake, its wheels straight); null if it did not.
+    #[serde(default)]
+    pub stopped_how: Option<String>,
     /// What the gate slowed the vehicle down for, or only told.
     #[serde(default)]
     pub slowed_for: Vec<String>,

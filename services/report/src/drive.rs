@@ -58,9 +58,13 @@ pub(crate) fn sections(page: &mut Page, drive: &SingleDrive, config: &RunConfig)
                 " poses; the cross-track error is measured against the current reference."
                 @if drive.joined { " The controller was restarted during the drive; the measures cover the time since then." }
             }
-            @for (what, reasons) in [("stopped", &drive.stopped_for), ("slowed down", &drive.slowed_for)] {
+            @let how = drive.stopped_how.as_deref().map(|it| format!(" ({})", it.replace('_', " ")));
+            @for (what, how, reasons) in [
+                ("stopped", how.unwrap_or_default(), &drive.stopped_for),
+                ("slowed down", String::new(), &drive.slowed_for),
+            ] {
                 @if !reasons.is_empty() {
-                    p { "The gate " (what) " the vehicle: " (reasons.join(", ").replace('_', " ")) "." }
+                    p { "The gate " (what) " the vehicle" (how) ": " (reasons.join(", ").replace('_', " ")) "." }
                 }
             }
             p {

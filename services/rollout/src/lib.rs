@@ -40,6 +40,10 @@ pub trait Plant {
     fn observe(&mut self) -> Observation;
     /// Drives one tick with a command: forward speed, and steering angle of the road wheels.
     fn step(&mut self, speed_mps: f64, steering_rad: f64);
+    /// What is wrong, apart from what the watch itself sees, as bits of a gate's reasons: for an alarm that knows.
+    fn faults(&self) -> u32 {
+        0
+    }
 }
 
 impl Plant for SimulatedVehicle {
@@ -155,15 +159,15 @@ impl<P: Plant> Rollout<P> {
                 steering_rad: raw.steering_rad,
             };
             let passed = match decision.ended {
-                None => watch.command(self.tick_s, 0, Some(raw)),
-                Some(_) => watch.end(self.tick_s),
+                None => watch.command(self.tick_s, self.vehicle.faults(), Some(raw)),
+                Some(_) => watch.end(self.tick_s, speed_mps),
             };
             let along_m = decision.reference_along_m;
             let progress = Progress { asked_mps: raw.speed_mps, along_m, origin_m: 0.0 };
             pace.update(tick, pose, progress);
             let gate = gate_word(&watch);
             self.controller.hear_gate(gate);
-            rate = Some(if watch.state() == State::Normal { pace.rate() } else { 0.0 });
+            rate = Some(watch.clock_rate(pace.rate()));
             let entered = self.zones.update(pose, along_m);
             if entered != zone && by_zone.len() > 1 {
                 self.controller.switch_parameters(by_zone[entered]);

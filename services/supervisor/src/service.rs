@@ -237,8 +237,10 @@ impl Slot {
             yaw_rate_radps: self.raw.yaw_rate_radps,
             steering_rad: self.raw.steering_rad,
         });
-        let passed =
-            if self.ended { self.watch.end(dt_s) } else { self.watch.command(dt_s, faults, raw) };
+        let passed = match self.ended {
+            true => self.watch.end(dt_s, self.speed_mps),
+            false => self.watch.command(dt_s, faults, raw),
+        };
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
         let change = passed.change;
         let command = Command {
@@ -257,7 +259,8 @@ impl Slot {
                     State::Degraded => Command::DEGRADED,
                     State::Stopping => Command::STOPPING,
                     State::Stopped => Command::STOPPED,
-                },
+                }
+                | if self.ended { 0 } else { self.watch.action_flags() },
             zone: self.zone as u32,
         };
         (command, change.rejected)
@@ -265,7 +268,7 @@ impl Slot {
 
     /// The rate of the reference's clock from the next tick on.
     fn clock_rate(&self) -> f64 {
-        if self.watch.state() == State::Normal { self.pace.rate() } else { 0.0 }
+        self.watch.clock_rate(self.pace.rate())
     }
 
     /// Whether there is nothing left to do for the vehicle: its drive has ended, and it stands.

@@ -1,8 +1,8 @@
 //! How a vehicle drives: its deviation from the path, and its response to commands.
 
 use config::{Layers, RunConfig};
-use ipc_types::Safety;
-use supervisor::{Deviation, Movement, RawCommand, Response, State, Watch};
+use ipc_types::{Command, Safety};
+use supervisor::{Action, Deviation, Movement, RawCommand, Response, State, Watch};
 use tracking::Pose;
 
 const TICK_S: f64 = 0.01;
@@ -238,4 +238,69 @@ fn what_is_only_told_changes_no_state_and_a_wrong_sign_stops_at_once() {
     let (states, reasons) = drive(0.15, 1.5, 0.0);
     let all = vec![State::Normal, State::Degraded, State::Stopping];
     assert_eq!((states, reasons), (all, Safety::STEERING_IGNORED));
+}
+
+/// Drives 4 m beside the path for some ticks, with or without answers; the last command.
+fn beside(
+    watch: &mut Watch,
+    ticks: std::ops::Range<u64>,
+    speed_mps: f64,
+    answers: bool,
+) -> supervisor::Passed {
+    let wanted = RawCommand { speed_mps: 2.0, yaw_rate_radps: 0.0, steering_rad: 0.05 };
+    let one = |tick: u64| {
+        let pose = pose(30.0, 4.0, 0.0);
+        watch.see(tick, Movement { pose, speed_mps, ..Movement::default() }, true);
+        watch.look_near(30.0);
+        watch.command(TICK_S, 0, answers.then_some(wanted))
+    };
+    ticks.map(one).last().unwrap()
+}
+
+#[test]
+fn a_vehicle_that_leaves_its_path_is_braked_while_the_law_steers() {
+    let mut watch = Watch::new(&config(&["vehicle.safety.watch_response='off'"]));
+    let at = pose(30.0, 4.0, 0.0);
+    watch.resume(Movement { pose: at, speed_mps: 2.0, ..Movement::default() }, 0.0);
+    assert_eq!((watch.clock_rate(0.5), watch.action_flags()), (0.5, 0));
+    // At once, and not only when it is stopped for good.
+    let passed = beside(&mut watch, 0..30, 2.0, true);
+    assert_eq!((watch.state(), watch.action()), (State::Degraded, Some(Action::Brake)));
+    assert!(passed.speed_mps < 1.5 && passed.steering_rad == 0.05, "{passed:?}");
+    assert_eq!(watch.action_flags(), Command::BRAKED | Command::STEERED);
+    // The clock falls from the mean's end on, 0.4 s long.
+    let rate = watch.clock_rate(1.0);
+    assert!((0.4..0.6).contains(&rate), "{rate}");
+    let passed = beside(&mut watch, 30..130, 2.0, true);
+    assert_eq!((watch.state(), watch.reasons()), (State::Stopping, Safety::PATH_DISTANCE));
+    assert_eq!((passed.speed_mps, passed.steering_rad), (-1.0, 0.05));
+    assert_eq!((watch.clock_rate(1.0), watch.actions()), (0.0, 1));
+
+    // Nobody steers any more, for longer than a moment.
+    let passed = beside(&mut watch, 130..170, 2.0, false);
+    assert_eq!(passed.steering_rad, 0.05);
+    let passed = beside(&mut watch, 170..220, 2.0, false);
+    assert_eq!((passed.speed_mps, passed.steering_rad), (-1.0, 0.0));
+    assert_eq!((watch.action_flags(), watch.actions()), (Command::BRAKED, 2));
+    assert_eq!(watch.reasons(), Safety::PATH_DISTANCE | Safety::COMMAND_STALE);
+
+    let passed = beside(&mut watch, 220..300, 0.0, true);
+    assert_eq!((watch.state(), watch.action_flags()), (State::Stopped, 0));
+    assert!((passed.speed_mps, passed.steering_rad) == (0.0, 0.0), "{passed:?}");
+}
+
+#[test]
+fn a_successor_goes_on_with_the_stop_that_was_begun() {
+    let mut watch = Watch::new(&config(&[]));
+    watch.resume(Movement { speed_mps: 2.0, ..Movement::default() }, 0.1);
+    watch.resume_stop(Action::BrakeStraight);
+    assert_eq!((watch.state(), watch.reasons()), (State::Stopping, Safety::RESTARTED));
+    let passed = beside(&mut watch, 0..40, 2.0, true);
+    assert_eq!((passed.steering_rad, watch.clock_rate(1.0)), (0.0, 0.0));
+    assert_eq!(watch.action_flags(), Command::BRAKED);
+    // Its drive ends, and it does not stand yet.
+    let last_mps = passed.speed_mps;
+    let mut end = |speed_mps| (0..100).map(|_| watch.end(TICK_S, speed_mps)).last().unwrap();
+    assert!(last_mps < 1.0 && end(2.0).speed_mps == -1.0);
+    assert_eq!(end(0.0).speed_mps, 0.0);
 }

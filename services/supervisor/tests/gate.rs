@@ -242,6 +242,24 @@ fn a_stop_is_straight_on_and_gentle() {
 }
 
 #[test]
+fn a_full_brake_is_bounded_by_the_limits_alone_and_steers_as_wanted() {
+    let mut gate = strict(&["vehicle.safety.jerk_limit_mps3=inf"]);
+    gate.resume(1.0, 0.1);
+    let passed = gate.brake(TICK_S, -1.0, 0.2);
+    assert!(near(passed.speed_mps, 0.96), "{}", passed.speed_mps);
+    assert!(near(passed.steering_rad, 0.105), "{}", passed.steering_rad);
+    assert!(near(gate.brake(TICK_S, -1.0, f64::NAN).steering_rad, 0.105));
+    for _ in 0..100 {
+        gate.brake(TICK_S, -3.0, 0.2);
+    }
+    assert_eq!((gate.speed_mps(), gate.steering_rad()), (-1.0, 0.2));
+    // It never speeds up.
+    gate.resume(0.02, 0.0);
+    assert_eq!(gate.brake(TICK_S, 5.0, 0.0).speed_mps, 0.0);
+    assert_eq!(paper().brake(TICK_S, -1.0, 0.0).speed_mps, -1.0);
+}
+
+#[test]
 fn it_goes_on_from_what_was_measured_within_its_limits() {
     let mut gate = strict(&[]);
     gate.resume(f64::NAN, f64::INFINITY);
@@ -373,6 +391,10 @@ fn of_ten_million_commands_none_out_of_limits_passes() {
             let passed = match stream.bits() % 64 {
                 0 => gate.stop(given_s),
                 1 => gate.slow_down(given_s),
+                3..=5 => {
+                    let wanted_mps = stream.number(limits.speed);
+                    gate.brake(given_s, wanted_mps, stream.number(limits.steering))
+                }
                 2 => {
                     gate.resume(stream.number(limits.speed), stream.number(limits.steering));
                     last = (gate.speed_mps(), 0.0, gate.steering_rad());

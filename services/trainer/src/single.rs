@@ -103,6 +103,8 @@ impl SingleDrive {
             }
             .to_owned(),
             stopped_for: reasons_of(record.stopped_for),
+            stopped_how: (record.stopped_for != 0)
+                .then(|| Safety::action_name(record.stopped_for).to_owned()),
             slowed_for: reasons_of(record.slowed_for),
             driven_s: record.ticks as f64 * self.config.drive.tick_s,
             progress: record.progress,
