@@ -16,6 +16,7 @@ pub mod launch;
 mod law;
 mod layers;
 mod lengths;
+mod made_path;
 mod own_path;
 mod path_file;
 mod plants;
@@ -25,6 +26,8 @@ pub mod promote;
 mod resample;
 mod ros2;
 mod schema;
+mod smooth;
+mod speed_profile;
 mod start_at;
 mod sweep;
 mod textbook;
@@ -40,6 +43,7 @@ pub use law::{
     paper_law, preset as law_preset,
 };
 pub use layers::Layers;
+pub use path_file::{Columns, Crs, PathOptions};
 pub use plants::{Over, OverBy, PlantChange};
 pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};

@@ -124,10 +124,17 @@ pub(crate) fn resample(points: &[[f64; 2]], speeds_mps: &[f64], most: usize) -> 
             resampled.speeds_mps.push(if step == steps { to } else { speed_mps });
         }
     }
-    let step_m = length_m / steps as f64;
-    resampled.time_s =
-        resampled.speeds_mps.windows(2).map(|pair| 2.0 * step_m / (pair[0] + pair[1])).sum();
+    resampled.count_time();
     resampled
+}
+
+impl Resampled {
+    /// Sums up the time to the end, after the speeds were changed.
+    pub(crate) fn count_time(&mut self) {
+        let step_m = self.length_m / (self.points.len() - 1) as f64;
+        self.time_s =
+            self.speeds_mps.windows(2).map(|pair| 2.0 * step_m / (pair[0] + pair[1])).sum();
+    }
 }
 
 /// The path's heading at each point.

@@ -101,7 +101,7 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
     ] {
         within(key, value, -1e6, 1e6)?;
     }
-    points::validate(path, &config.vehicle, &config.supervisor)?;
+    points::validate(path, &config.vehicle, &config.supervisor, config.reference.speed_mps)?;
     for (index, piece) in path.pieces.iter().enumerate() {
         let key = |field: &str| format!("path.pieces[{index}].{field}");
         match *piece {

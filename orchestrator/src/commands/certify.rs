@@ -9,6 +9,7 @@ use crate::commands::drive::{choose, describe, tuned_parameters};
 use crate::runs::resolved_config;
 use crate::runs::setup::read;
 use crate::words::Failure;
+use crate::words::terminal::tell;
 
 /// What is to be certified.
 #[derive(Debug, Clone)]
@@ -84,7 +85,10 @@ fn of_manoeuvre(args: &CertifyArgs, name: Option<&str>) -> Result<RunConfig, Fai
         layers.set_vehicle("--vehicle", vehicle)?;
     }
     if let Some(path) = &args.path {
-        layers.add_path_from(path, None)?;
+        layers.add_path_with(path, None, &args.reading.options())?;
+        for note in layers.notes() {
+            tell!("pathtune: {note}");
+        }
     }
     for assignment in &args.set {
         layers.set(assignment)?;

@@ -10,7 +10,7 @@ use runtime::Wait;
 use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
 
-use crate::cli::{SetupArgs, WaitArg};
+use crate::cli::{PathReading, SetupArgs, WaitArg};
 use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
@@ -23,6 +23,7 @@ use crate::words::{Failure, known};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sources<'a> {
     pub(crate) path: Option<&'a Path>,
+    pub(crate) reading: &'a PathReading,
     pub(crate) vehicle: Option<&'a str>,
     pub(crate) law: Option<&'a str>,
     pub(crate) objective: Option<&'a str>,
@@ -31,12 +32,15 @@ pub(crate) struct Sources<'a> {
     pub(crate) start: Option<StartAt>,
     pub(crate) set: &'a [String],
     pub(crate) quiet: bool,
+    /// Whether to tell how the path's file was read: that is no progress, and told in quiet runs, too.
+    pub(crate) tells_of_path: bool,
 }
 
 impl<'a> From<&'a SetupArgs> for Sources<'a> {
     fn from(args: &'a SetupArgs) -> Self {
         Self {
             path: args.path.as_deref(),
+            reading: &args.reading,
             vehicle: args.vehicle.as_deref(),
             law: args.law.as_deref(),
             objective: args.objective.as_deref(),
@@ -45,6 +49,7 @@ impl<'a> From<&'a SetupArgs> for Sources<'a> {
             start: args.start,
             set: &args.set,
             quiet: args.quiet,
+            tells_of_path: true,
         }
     }
 }
@@ -81,9 +86,10 @@ pub(crate) fn layers<'a>(
     if let Some(vehicle) = args.vehicle {
         layers.set_vehicle("--vehicle", vehicle)?;
     }
-    // Keys that are derived from the path's length can still be overridden by hand.
+    // What is made of a path depends on these; keys that are derived from it can still be overridden by hand.
+    let of_path = ["reference.", "path.laps", "vehicle.", "supervisor."];
     let (before, after): (Vec<_>, Vec<_>) =
-        args.set.iter().partition(|it| it.starts_with("reference.") || it.starts_with("path.laps"));
+        args.set.iter().partition(|it| of_path.iter().any(|key| it.starts_with(key)));
     for assignment in before {
         layers.set(assignment)?;
     }
@@ -91,15 +97,19 @@ pub(crate) fn layers<'a>(
         layers.put("--laps", "path.laps", i64::from(laps))?;
     }
     if let Some(path) = args.path {
-        layers.add_path_from(path, args.start)?;
+        layers.add_path_with(path, args.start, &args.reading.options())?;
     }
     for assignment in after {
         layers.set(assignment)?;
     }
     // A configuration with a mistake has one message, that of the mistake.
-    let is_told = !args.quiet && layers.borrowed().is_some() && layers.clone().resolve().is_ok();
-    if let Some(borrowed) = layers.borrowed().filter(|_| is_told) {
-        tell!("pathtune: {borrowed}");
+    let borrowed = layers.borrowed().filter(|_| !args.quiet);
+    let notes = if args.tells_of_path { layers.notes() } else { &[] };
+    let lines: Vec<&str> = borrowed.into_iter().chain(notes.iter().map(String::as_str)).collect();
+    if !lines.is_empty() && layers.clone().resolve().is_ok() {
+        for line in lines {
+            tell!("pathtune: {line}");
+        }
     }
     Ok(layers)
 }
