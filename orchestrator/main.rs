@@ -6,6 +6,7 @@ use orchestrator::House;
 
 mod certify;
 mod identify;
+mod path_bag;
 mod services;
 mod tools;
 

@@ -17,6 +17,7 @@ pub(crate) const TOOLS: Tools = Tools {
     replay,
     certify: crate::certify::certify,
     identify: identify::identify,
+    path_of_bag: crate::path_bag::read,
 };
 
 /// Compares tuners.

@@ -43,7 +43,7 @@ pub use law::{
     paper_law, preset as law_preset,
 };
 pub use layers::Layers;
-pub use path_file::{Columns, Crs, PathOptions};
+pub use path_file::{Columns, Crs, PathOptions, RecordedPath};
 pub use plants::{Over, OverBy, PlantChange};
 pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};

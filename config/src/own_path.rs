@@ -7,6 +7,7 @@ use serde::Deserialize;
 use toml::{Spanned, Table, Value};
 
 use crate::made_path::{Below, make};
+use crate::path_file::{PathFile, RecordedPath};
 use crate::presets::OWN_PATH;
 use crate::resample::Resampled;
 use crate::{ConfigError, Layers, PathOptions, StartAt, ZoneConfig, path_file};
@@ -77,7 +78,33 @@ impl Layers {
     ) -> Result<(), ConfigError> {
         let origin = file.display().to_string();
         let bytes = read(file, "name a CSV file with columns x_m,y_m")?;
-        let mut given = path_file::parse(&origin, &bytes, options)?;
+        let given = path_file::parse(&origin, &bytes, options)?;
+        self.add_given_path(file, given, start, options)
+    }
+
+    /// As [`Layers::add_path_with`], for a path that something else has read from the file.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn add_recorded_path(
+        &mut self,
+        file: &Path,
+        path: RecordedPath,
+        start: Option<StartAt>,
+        options: &PathOptions,
+    ) -> Result<(), ConfigError> {
+        let given = path_file::of_recording(&file.display().to_string(), path, options)?;
+        self.add_given_path(file, given, start, options)
+    }
+
+    fn add_given_path(
+        &mut self,
+        file: &Path,
+        mut given: PathFile,
+        start: Option<StartAt>,
+        options: &PathOptions,
+    ) -> Result<(), ConfigError> {
+        let origin = file.display().to_string();
         let vehicle = self.vehicle_so_far();
         let most_mps = ["vehicle.speed_limit_mps", "supervisor.speed_limit_mps"]
             .iter()

@@ -41,6 +41,15 @@ pub(crate) struct PathFile {
     pub(crate) notes: Vec<String>,
 }
 
+/// A path that something else has read from a file, such as a bag.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedPath {
+    /// Its points: x and y in metres.
+    pub points: Vec<[f64; 2]>,
+    /// What the user has to know of it.
+    pub notes: Vec<String>,
+}
+
 /// What the rows of a file hold, before the coordinates become metres.
 #[derive(Debug, Default)]
 struct Raw {
@@ -91,6 +100,20 @@ pub(crate) fn parse(
         rows::read(origin, text, options)?
     };
     of_raw(origin, raw, options)
+}
+
+/// The path of points from a recording; in errors they are counted instead of lines.
+///
+/// # Errors
+/// As [`parse`].
+pub(crate) fn of_recording(
+    origin: &str,
+    path: RecordedPath,
+    options: &PathOptions,
+) -> Result<PathFile, ConfigError> {
+    let RecordedPath { points, notes } = path;
+    let lines = (1..=points.len()).collect();
+    of_raw(origin, Raw { points, lines, notes, ..Raw::default() }, options)
 }
 
 /// A path from points that were read: in metres, each step checked.

@@ -18,6 +18,9 @@ pub struct PathReading {
     /// [default: only where noise makes turns that the car cannot drive]
     #[arg(long, value_name = "METRES", requires = "path", value_parser = metres)]
     pub smooth: Option<f64>,
+    /// The topic of the path, if --path is a bag of ROS 2 in MCAP: a nav_msgs/Path, or an odometry [default: the only one]
+    #[arg(long, value_name = "TOPIC", requires = "path")]
+    pub path_topic: Option<String>,
     /// Lowers the speeds of the path to what the vehicle can drive: its limits sideways, forwards and when braking; v_mps,
     /// or reference.speed_mps, bounds them from above
     #[arg(long, requires = "path")]

@@ -7,7 +7,7 @@ use config::{Layers, Parameters, RunConfig};
 use crate::cli::CertifyArgs;
 use crate::commands::drive::{choose, describe, tuned_parameters};
 use crate::runs::resolved_config;
-use crate::runs::setup::read;
+use crate::runs::setup::{add_path, read};
 use crate::words::Failure;
 use crate::words::terminal::tell;
 
@@ -85,7 +85,7 @@ fn of_manoeuvre(args: &CertifyArgs, name: Option<&str>) -> Result<RunConfig, Fai
         layers.set_vehicle("--vehicle", vehicle)?;
     }
     if let Some(path) = &args.path {
-        layers.add_path_with(path, None, &args.reading.options())?;
+        add_path(&mut layers, path, None, &args.reading)?;
         for note in layers.notes() {
             tell!("pathtune: {note}");
         }

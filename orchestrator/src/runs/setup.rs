@@ -1,11 +1,13 @@
 //! From options to a plan: configuration, processes and folder of a run, checked before anything starts.
 
 use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use config::launch::{Launch, Role};
-use config::{Layers, RunConfig, StartAt, SweepKind, SweepPlan, read_small};
+use config::{Layers, RecordedPath, RunConfig, StartAt, SweepKind, SweepPlan, read_small};
 use runtime::Wait;
 use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
@@ -97,7 +99,7 @@ pub(crate) fn layers<'a>(
         layers.put("--laps", "path.laps", i64::from(laps))?;
     }
     if let Some(path) = args.path {
-        layers.add_path_with(path, args.start, &args.reading.options())?;
+        add_path(&mut layers, path, args.start, args.reading)?;
     }
     for assignment in after {
         layers.set(assignment)?;
@@ -112,6 +114,39 @@ pub(crate) fn layers<'a>(
         }
     }
     Ok(layers)
+}
+
+/// Reads the path of a bag of ROS 2, on this topic if one is given.
+pub type BagReader = fn(&Path, Option<&str>) -> Result<RecordedPath, String>;
+
+/// What reads bags: a part that this library does not link.
+static BAGS: OnceLock<BagReader> = OnceLock::new();
+
+/// Says what reads bags, once, before the first command.
+pub(crate) fn read_bags_with(reader: BagReader) {
+    let _ = BAGS.set(reader);
+}
+
+/// Puts the path of a file or of a bag on top of the layers.
+pub(crate) fn add_path(
+    layers: &mut Layers,
+    path: &Path,
+    start: Option<StartAt>,
+    reading: &PathReading,
+) -> Result<(), Failure> {
+    let options = reading.options();
+    let Some(reader) = BAGS.get().filter(|_| is_mcap(path)) else {
+        return Ok(layers.add_path_with(path, start, &options)?);
+    };
+    let recorded = reader(path, reading.path_topic.as_deref()).map_err(Failure::User)?;
+    Ok(layers.add_recorded_path(path, recorded, start, &options)?)
+}
+
+/// Whether a file begins as an MCAP file does. One that cannot be read is reported by who reads it.
+fn is_mcap(path: &Path) -> bool {
+    let mut start = [0; 5];
+    let read = config::open_regular(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && &start == b"\x89MCAP"
 }
 
 /// The parts that options of the command line name.
