@@ -270,6 +270,22 @@ fn waypoints_without_header() {
 }
 
 #[test]
+fn the_road_s_edges_are_kept() {
+    let sandbox = Sandbox::new();
+    let line = bend(26.0, 8.0, 0.5);
+    let text = table("# x_m,y_m,w_tr_right_m,w_tr_left_m", &line, |_, [x, y]| {
+        format!("{x:.6},{y:.6},2.5,1.5")
+    });
+    fs::write(sandbox.path("p.csv"), text).unwrap();
+    let output =
+        sandbox.run(&[&["drive", "-q", "--path", "p.csv", "--out", "out"], &GAINS[..]].concat());
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    has(&told, &["edges are 1.50 to 2.50 m away"]);
+    has(&sandbox.text("out/config.toml"), &["widths_m = [[1.5, 2.5]"]);
+    sandbox.assert_clean();
+}
+
+#[test]
 fn what_is_no_path_is_named() {
     let sandbox = Sandbox::new();
     for (text, what) in

@@ -96,6 +96,7 @@ pub(crate) fn make(
         }
     }
     path.count_time();
+    keep_widths(file, &mut path);
     Ok(path)
 }
 
@@ -139,6 +140,25 @@ fn take(file: &mut PathFile, points: Vec<[f64; 2]>, given: &[(usize, usize)]) {
     }
     file.lines = given.iter().map(|range| file.lines[middle(range)]).collect();
     file.points = points;
+}
+
+/// Spaces the widths of the road as the points are.
+fn keep_widths(file: &mut PathFile, path: &mut Resampled) {
+    if file.widths_m.is_empty() {
+        return;
+    }
+    // Between two points they change evenly, as speeds do.
+    let side = |side: usize| -> Vec<f64> {
+        let widths: Vec<f64> = file.widths_m.iter().map(|width| width[side]).collect();
+        resample(&file.points, &widths, MAX_POINTS).speeds_mps
+    };
+    path.widths_m = side(0).into_iter().zip(side(1)).map(|(left, right)| [left, right]).collect();
+    let all = || path.widths_m.iter().flatten().copied();
+    file.notes.push(format!(
+        "the road's edges are {:.2} to {:.2} m away; they are kept and drawn, and not watched",
+        all().fold(f64::INFINITY, f64::min),
+        all().fold(0.0, f64::max)
+    ));
 }
 
 /// Lowers the speeds to what the car can drive.

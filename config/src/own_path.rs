@@ -128,6 +128,11 @@ impl Layers {
         self.put(&origin, "path.pieces", Value::Array(Vec::new()))?;
         self.put(&origin, "path.points", Value::Array(points))?;
         self.put(&origin, "path.speeds_mps", floats(&path.speeds_mps))?;
+        self.put(
+            &origin,
+            "path.widths_m",
+            path.widths_m.iter().map(|it| floats(it)).collect::<Vec<_>>(),
+        )?;
         let first = format!("{origin}:{}", given.lines[path.given[0]]);
         self.put(&first, "path.start.x_m", path.points[0][0])?;
         self.put(&first, "path.start.y_m", path.points[0][1])?;

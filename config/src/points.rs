@@ -88,6 +88,13 @@ pub(crate) fn validate(
             return fail(key, problem);
         }
     }
+    if !path.widths_m.is_empty() && path.widths_m.len() != count {
+        let problem = format!("holds {} pairs for {count} points", path.widths_m.len());
+        return fail("path.widths_m".to_owned(), problem);
+    }
+    for (index, width_m) in path.widths_m.iter().flatten().enumerate() {
+        within(&format!("path.widths_m[{}]", index / 2), *width_m, 0.0, 1000.0)?;
+    }
     let apart_m = libm::hypot(start.x_m - points[0][0], start.y_m - points[0][1]);
     if apart_m > START_TOLERANCE_M {
         let problem =

@@ -21,6 +21,8 @@ pub(crate) struct Resampled {
     pub(crate) points: Vec<[f64; 2]>,
     /// The speed at each point, if there were any.
     pub(crate) speeds_mps: Vec<f64>,
+    /// From each point to the road's edges on the left and on the right, if they are known.
+    pub(crate) widths_m: Vec<[f64; 2]>,
     /// For each point, the index of the given point at or before it.
     pub(crate) given: Vec<usize>,
     /// Heading of the path at its start, in (-π, π].
@@ -95,6 +97,7 @@ pub(crate) fn resample(points: &[[f64; 2]], speeds_mps: &[f64], most: usize) -> 
     let mut resampled = Resampled {
         points: Vec::with_capacity(steps + 1),
         speeds_mps: Vec::new(),
+        widths_m: Vec::new(),
         given: Vec::with_capacity(steps + 1),
         yaw_rad: wrap(headings[0]),
         length_m,

@@ -7,6 +7,8 @@
 //! point. How smooth is decided by generalised cross-validation (Craven and Wahba, 1979), and by the turns that the car can
 //! drive. Pure arithmetic and libm: the same bytes on every host.
 
+#![allow(clippy::needless_range_loop, reason = "rows and columns of matrices")]
+
 use crate::points::tightest;
 use crate::resample::resample;
 
