@@ -7,6 +7,7 @@ use orchestrator::House;
 mod calibrate;
 mod certify;
 mod identify;
+mod path_bag;
 mod services;
 mod tools;
 

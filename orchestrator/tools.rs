@@ -19,6 +19,7 @@ pub(crate) const TOOLS: Tools = Tools {
     calibrate: crate::calibrate::calibrate,
     journal: crate::calibrate::journal::note,
     identify: identify::identify,
+    path_of_bag: crate::path_bag::read,
 };
 
 /// Compares tuners.

@@ -207,9 +207,8 @@ fn each_mistake_in_a_path_has_one_line() {
     check(&format!("x_m,y_m\n{straight}90,0\n91,0\n"), &["p.csv:52", "gap", "41"]);
     check("x_m,y_m\n0,0\n1,nan\n2,0\n", &["p.csv:3", "y_m", "nan"]);
     check("x_m,y_m\n0,0\n", &["p.csv", "only point"]);
-    check("x_m,y_m\n0,0\n1,0\n1,0\n2,0\n", &["p.csv:4", "repeats"]);
-    check("x_m y_m\n0 0\n1 0\n", &["p.csv:1", "space"]);
-    check("x_m\ty_m\n0\t0\n1\t0\n", &["p.csv:1", "tab"]);
+    check("a,b\n0,0\n1,0\n1,0\n2,0\n", &["p.csv:1", "no columns x_m and y_m", "--columns"]);
+    check("x_m y_m\n0 0\n1 0 0\n", &["p.csv:3", "space"]);
     let tight: String = (0..40)
         .map(|index| {
             let angle = TAU * f64::from(index) / 40.0;

@@ -21,6 +21,8 @@ pub struct Layers {
     grids: Table,
     /// What the user has to know of values that the vehicle's file has from another car.
     borrowed: Option<String>,
+    /// How the path's file was read: what the user may not expect.
+    notes: Vec<String>,
 }
 
 /// A part of the configuration that a name selects: its values come from a preset with that name, or from a file.
@@ -83,7 +85,14 @@ impl Layers {
         // Of the vehicle that the manoeuvre names, not of another one that the user takes.
         let of_vehicle = values.remove("vehicle");
         let base = format!("config/{}", maneuver.path);
-        let mut layers = Self { values, origins: BTreeMap::new(), base, grids, borrowed: None };
+        let mut layers = Self {
+            values,
+            origins: BTreeMap::new(),
+            base,
+            grids,
+            borrowed: None,
+            notes: Vec::new(),
+        };
         for part in Part::ALL {
             let name = layers.text(part.selected_by()).unwrap_or_default();
             layers.load(part, &name, "config")?;
@@ -292,6 +301,21 @@ impl Layers {
         self.borrowed.as_deref()
     }
 
+    /// How the path's file was read, a line each: what the user may not expect.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// Adds what the user has to know of the path's file.
+    pub(crate) fn note(&mut self, notes: impl IntoIterator<Item = String>) {
+        self.notes.extend(notes);
+    }
+
+    /// The vehicle of the layers so far, if its keys are those of one.
+    pub(crate) fn vehicle_so_far(&self) -> Option<Vehicle> {
+        self.values.get("vehicle")?.clone().try_into().ok()
+    }
+
     /// The value of a key, if it is a number.
     pub(crate) fn number(&self, key: &str) -> Option<f64> {
         let (head, rest) = key.split_once('.')?;
@@ -435,6 +459,7 @@ impl Layers {
             base: name.to_owned(),
             grids: Table::new(),
             borrowed: None,
+            notes: Vec::new(),
         };
         below.add_document(name, text)?;
         self.values.insert(key.to_owned(), Value::Table(below.values));

@@ -17,6 +17,7 @@ pub mod launch;
 mod law;
 mod layers;
 mod lengths;
+mod made_path;
 mod own_path;
 mod path_file;
 mod plants;
@@ -26,6 +27,8 @@ pub mod promote;
 mod resample;
 mod ros2;
 mod schema;
+mod smooth;
+mod speed_profile;
 mod start_at;
 mod sweep;
 mod textbook;
@@ -42,6 +45,7 @@ pub use law::{
     paper_law, preset as law_preset,
 };
 pub use layers::Layers;
+pub use path_file::{Columns, Crs, PathOptions, RecordedPath};
 pub use plants::{Over, OverBy, PlantChange};
 pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};

@@ -6,14 +6,17 @@ use std::path::Path;
 use serde::Deserialize;
 use toml::{Spanned, Table, Value};
 
-use crate::points::MAX_POINTS;
+use crate::made_path::{Below, make};
+use crate::path_file::{PathFile, RecordedPath};
 use crate::presets::OWN_PATH;
-use crate::resample::{Resampled, resample};
-use crate::{ConfigError, Layers, StartAt, ZoneConfig, path_file};
+use crate::resample::Resampled;
+use crate::{ConfigError, Layers, PathOptions, StartAt, ZoneConfig, path_file};
 
 /// The size of the largest file that is read: enough for a million rows of many columns, but a wrong file is not read
 /// for minutes.
 const MAX_FILE_BYTES: u64 = 64 << 20;
+/// The longest drive, as of the key drive.loop_time_s.
+const LONGEST_DRIVE_S: f64 = 3600.0;
 /// Time that the vehicle has to reach the end after the reference has.
 const AFTER_END_S: f64 = 5.0;
 
@@ -52,33 +55,71 @@ impl Layers {
     /// Puts the path of a file on top: points, speeds, start, zones (and no rows of the paper's tables), and a loop
     /// time that is enough to reach its end at the speeds and for the laps that the layers hold so far.
     ///
-    /// The file is a CSV with the columns `x_m`, `y_m` and optionally `v_mps`, or a raceline of TUM's form. The
-    /// zones are those of the TOML file of the same name next to it, if there is one; otherwise the path is a
+    /// The file is a table with the columns `x_m`, `y_m` and optionally `v_mps`, a raceline of TUM's form, or one of many
+    /// others; [`Layers::notes`] tells how it was read. The zones are those of the TOML file of the same name next to it, if there is one; otherwise the path is a
     /// single zone named `path`.
     ///
     /// # Errors
     /// At the first mistake in either file, with its line and what to do about it.
     pub fn add_path(&mut self, file: &Path) -> Result<(), ConfigError> {
-        self.add_path_from(file, None)
+        self.add_path_with(file, None, &PathOptions::default())
     }
 
-    /// As [`Layers::add_path`], for a drive that begins at the point of a closed path which is nearest to a place.
+    /// As [`Layers::add_path`], with what the user says of the file, and for a drive that begins at the point of a closed
+    /// path which is nearest to a place in the file's coordinates.
     ///
     /// # Errors
     /// As there, and if the path cannot be started at that place.
-    pub fn add_path_from(
+    pub fn add_path_with(
         &mut self,
         file: &Path,
         start: Option<StartAt>,
+        options: &PathOptions,
     ) -> Result<(), ConfigError> {
         let origin = file.display().to_string();
-        let given =
-            path_file::parse(&origin, &read(file, "name a CSV file with columns x_m,y_m")?)?;
-        let mut path = resample(&given.points, &given.speeds_mps, MAX_POINTS);
+        let bytes = read(file, "name a CSV file with columns x_m,y_m")?;
+        let given = path_file::parse(&origin, &bytes, options)?;
+        self.add_given_path(file, given, start, options)
+    }
+
+    /// As [`Layers::add_path_with`], for a path that something else has read from the file.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn add_recorded_path(
+        &mut self,
+        file: &Path,
+        path: RecordedPath,
+        start: Option<StartAt>,
+        options: &PathOptions,
+    ) -> Result<(), ConfigError> {
+        let given = path_file::of_recording(&file.display().to_string(), path, options)?;
+        self.add_given_path(file, given, start, options)
+    }
+
+    fn add_given_path(
+        &mut self,
+        file: &Path,
+        mut given: PathFile,
+        start: Option<StartAt>,
+        options: &PathOptions,
+    ) -> Result<(), ConfigError> {
+        let origin = file.display().to_string();
+        let vehicle = self.vehicle_so_far();
+        let most_mps = ["vehicle.speed_limit_mps", "supervisor.speed_limit_mps"]
+            .iter()
+            .filter_map(|key| self.number(key))
+            .fold(f64::INFINITY, f64::min);
+        let reference_mps = self.number("reference.speed_mps");
+        let below = Below { vehicle: vehicle.as_ref(), reference_mps, most_mps };
+        let mut path = make(&origin, &mut given, below, options)?;
         if let Some(start) = start {
             refuse_zones_with_start(file)?;
+            let [x_m, y_m] = given.origin;
+            let start = StartAt { x_m: start.x_m - x_m, y_m: start.y_m - y_m, ..start };
             path.begin_at(&origin, start)?;
         }
+        self.note(given.notes.iter().map(|note| format!("{origin}: {note}")));
 
         let floats =
             |values: &[f64]| Value::Array(values.iter().map(|v| Value::Float(*v)).collect());
@@ -87,6 +128,11 @@ impl Layers {
         self.put(&origin, "path.pieces", Value::Array(Vec::new()))?;
         self.put(&origin, "path.points", Value::Array(points))?;
         self.put(&origin, "path.speeds_mps", floats(&path.speeds_mps))?;
+        self.put(
+            &origin,
+            "path.widths_m",
+            path.widths_m.iter().map(|it| floats(it)).collect::<Vec<_>>(),
+        )?;
         let first = format!("{origin}:{}", given.lines[path.given[0]]);
         self.put(&first, "path.start.x_m", path.points[0][0])?;
         self.put(&first, "path.start.y_m", path.points[0][1])?;
@@ -99,6 +145,9 @@ impl Layers {
             self.note_origin(format!("path.points[{index}]"), line);
         }
         if let Some(loop_time_s) = self.loop_time_s(&path) {
+            if loop_time_s > LONGEST_DRIVE_S {
+                return Err(self.too_long(&origin, &path, loop_time_s));
+            }
             self.put(&origin, "drive.loop_time_s", loop_time_s)?;
         }
         self.add_zones(file, path.length_m)
@@ -124,6 +173,25 @@ impl Layers {
             at_speed_s + 0.5 * ramp_s
         };
         Some((end_s + AFTER_END_S).ceil())
+    }
+
+    /// What to do about a path that takes longer than a drive may.
+    fn too_long(&self, origin: &str, path: &Resampled, loop_time_s: f64) -> ConfigError {
+        let laps = self.number("path.laps").unwrap_or(1.0);
+        let of_laps =
+            if laps > 1.0 { format!("{laps} laps of it take") } else { "takes".to_owned() };
+        let (at, way_out) = match self.number("reference.speed_mps") {
+            Some(speed_mps) if path.speeds_mps.is_empty() => (
+                format!(" at reference.speed_mps = {speed_mps}"),
+                "write speeds (v_mps), or raise it with --set reference.speed_mps=…",
+            ),
+            _ => (" at its speeds".to_owned(), "raise them"),
+        };
+        let fewer = if laps > 1.0 { ", or drive fewer laps" } else { "" };
+        let problem = format!(
+            "{of_laps} {loop_time_s} s{at}, but a drive lasts at most {LONGEST_DRIVE_S} s; {way_out}{fewer}"
+        );
+        ConfigError::new(origin, "", problem)
     }
 
     /// Sets the zones from the file next to the path's file, or the one zone if there is none.
@@ -214,6 +282,8 @@ fn refuse_zones_with_start(path_file: &Path) -> Result<(), ConfigError> {
 mod tests {
     use super::*;
     use crate::RunConfig;
+    use crate::points::MAX_POINTS;
+    use crate::resample::resample;
     use proptest::prelude::*;
     use std::fs;
     use std::path::PathBuf;
@@ -278,9 +348,11 @@ mod tests {
         assert_eq!((config.maneuver.as_str(), config.drive.loop_time_s), ("roundabout", 1006.0));
         let mut slow = Layers::maneuver("lane_change").unwrap();
         slow.set("reference.speed_mps=0.001").unwrap();
-        slow.add_path(&file).unwrap();
+        let long = slow.add_path(&file).unwrap_err().to_string();
+        for part in ["10006 s", "reference.speed_mps = 0.001", "v_mps"] {
+            assert!(long.contains(part), "{long:?} lacks {part:?}");
+        }
         // Longer than any drive may last: an error, not a shortened drive.
-        assert!(slow.resolve().unwrap_err().to_string().contains("drive.loop_time_s"));
         let mut none = Layers::maneuver("lane_change").unwrap();
         none.set("reference.speed_mps=0.0").unwrap();
         none.add_path(&file).unwrap();

@@ -1,5 +1,6 @@
 //! Checks a path through points: their number, their speeds, and that the vehicle can drive its curves.
 
+use crate::speed_profile::{SpeedLimits, too_abrupt};
 use crate::validate::{Problem, above, within};
 use crate::{PathConfig, Supervisor, Vehicle};
 
@@ -15,13 +16,14 @@ const START_TOLERANCE_M: f64 = 1e-3;
 
 /// By how much a curve may be tighter than the vehicle's tightest circle; otherwise rounded points of just that circle
 /// would be refused.
-const CURVATURE_MARGIN: f64 = 1.005;
+pub(crate) const CURVATURE_MARGIN: f64 = 1.005;
 
 /// Finds the first problem of a path's points, as (dotted key, problem); none if the path is made of pieces.
 pub(crate) fn validate(
     path: &PathConfig,
     vehicle: &Vehicle,
     supervisor: &Supervisor,
+    reference_mps: f64,
 ) -> Result<(), Problem> {
     let PathConfig { start, pieces, points, speeds_mps, laps, .. } = path;
     let fail = |key: String, problem: String| Err((key, problem));
@@ -73,15 +75,25 @@ pub(crate) fn validate(
     }
     for (index, speed_mps) in speeds_mps.iter().enumerate() {
         let key = format!("path.speeds_mps[{index}]");
-        above(&key, *speed_mps, 0.0, 50.0)?;
+        // Only at the end of the path it may be 0: the vehicle comes to stand there.
+        if !(*speed_mps == 0.0 && index + 1 == count) {
+            above(&key, *speed_mps, 0.0, 50.0)?;
+        }
         let limit_mps = vehicle.speed_limit_mps.min(supervisor.speed_limit_mps);
         if *speed_mps > limit_mps {
             let problem = format!(
-                "is {speed_mps}, but the limit is {limit_mps}; lower it, or raise \
+                "is {speed_mps}, but the limit is {limit_mps}; lower it (--speed-profile does), or raise \
                  vehicle.speed_limit_mps and supervisor.speed_limit_mps"
             );
             return fail(key, problem);
         }
+    }
+    if !path.widths_m.is_empty() && path.widths_m.len() != count {
+        let problem = format!("holds {} pairs for {count} points", path.widths_m.len());
+        return fail("path.widths_m".to_owned(), problem);
+    }
+    for (index, width_m) in path.widths_m.iter().flatten().enumerate() {
+        within(&format!("path.widths_m[{}]", index / 2), *width_m, 0.0, 1000.0)?;
     }
     let apart_m = libm::hypot(start.x_m - points[0][0], start.y_m - points[0][1]);
     if apart_m > START_TOLERANCE_M {
@@ -89,7 +101,51 @@ pub(crate) fn validate(
             format!("lies {apart_m:.3} m from path.points[0], but must be the same point");
         return fail("path.start".to_owned(), problem);
     }
-    curvature(points, vehicle)
+    curvature(points, vehicle)?;
+    speeds(path, vehicle, reference_mps)
+}
+
+/// Checks that the vehicle can drive the turns at their speeds, and change its speed as they do.
+fn speeds(path: &PathConfig, vehicle: &Vehicle, reference_mps: f64) -> Result<(), Problem> {
+    /// By how much a turn may be faster than the limit: points are rounded, and the place of a turn's beginning is not exact.
+    const TURN_MARGIN: f64 = 1.1;
+    /// What the pedals are asked for may be more than they give for a while, since the reference waits; but not this much.
+    const ABRUPT: f64 = 2.0;
+    let PathConfig { points, speeds_mps, .. } = path;
+    let limits = SpeedLimits::of(vehicle);
+    let lower = "lower it, or let --speed-profile lower it to what the vehicle can drive";
+    for (index, curvature) in curvatures(points) {
+        let speed_mps = speeds_mps.get(index).copied().unwrap_or(reference_mps);
+        let lateral_mps2 = speed_mps * speed_mps * curvature;
+        if lateral_mps2 > TURN_MARGIN * limits.lateral_mps2 {
+            let key = if speeds_mps.is_empty() { "points" } else { "speeds_mps" };
+            let problem = format!(
+                "{} is {speed_mps:.2} m/s in a turn of radius {:.2} m: {lateral_mps2:.1} m/s² sideways, but the vehicle's limit is \
+                 {:.1}; {lower}",
+                if speeds_mps.is_empty() { "reference.speed_mps" } else { "the speed" },
+                1.0 / curvature,
+                limits.lateral_mps2
+            );
+            return Err((format!("path.{key}[{index}]"), problem));
+        }
+    }
+    if speeds_mps.is_empty() {
+        return Ok(());
+    }
+    let step_m = libm::hypot(points[1][0] - points[0][0], points[1][1] - points[0][1]);
+    if let Some((index, mps2)) = too_abrupt(speeds_mps, step_m, limits.times(ABRUPT)) {
+        let (what, limit) = if mps2 > 0.0 {
+            ("rise", limits.acceleration_mps2)
+        } else {
+            ("fall", limits.deceleration_mps2)
+        };
+        let problem = format!(
+            "the speeds {what} by {:.1} m/s² behind it, but the vehicle's limit is {limit:.1}; {lower}",
+            mps2.abs()
+        );
+        return Err((format!("path.speeds_mps[{index}]"), problem));
+    }
+    Ok(())
 }
 
 /// Checks that a path can be driven in laps. The problem is one of the path's file, whatever asks for laps.
@@ -119,27 +175,34 @@ fn check_laps(path: &PathConfig) -> Result<(), Problem> {
 /// Checks that the rear axle can follow the path; an error names the tightest place.
 fn curvature(points: &[[f64; 2]], vehicle: &Vehicle) -> Result<(), Problem> {
     let sharpest = libm::tan(vehicle.steering_limit_rad) / vehicle.wheelbase_m;
-    let (mut tightest, mut curvature) = (0, 0.0);
-    for (index, here) in curvatures(points) {
-        if here > curvature {
-            (tightest, curvature) = (index, here);
-        }
-    }
+    let (tightest, curvature) = tightest(points);
     if curvature <= sharpest * CURVATURE_MARGIN {
         return Ok(());
     }
     let problem = format!(
         "lies in a turn of radius {:.2} m, but the vehicle's least is {:.2} m (for its rear axle, from \
-         vehicle.wheelbase_m and vehicle.steering_limit_rad); widen the turn",
+         vehicle.wheelbase_m and vehicle.steering_limit_rad); widen the turn, or, if the points were measured with noise, smooth \
+         them, as with --smooth 0.2",
         1.0 / curvature,
         1.0 / sharpest
     );
     Err((format!("path.points[{tightest}]"), problem))
 }
 
+/// The point in the tightest turn, and the curvature there, 1/m.
+pub(crate) fn tightest(points: &[[f64; 2]]) -> (usize, f64) {
+    let (mut tightest, mut curvature) = (0, 0.0);
+    for (index, here) in curvatures(points) {
+        if here > curvature {
+            (tightest, curvature) = (index, here);
+        }
+    }
+    (tightest, curvature)
+}
+
 /// The absolute curvature at each point that has neighbours, by the turn between the chords to the points
 /// two before and two after it: over only one point, the rounding of a file's decimals would look like curves.
-fn curvatures(points: &[[f64; 2]]) -> impl Iterator<Item = (usize, f64)> {
+pub(crate) fn curvatures(points: &[[f64; 2]]) -> impl Iterator<Item = (usize, f64)> {
     let count = points.len();
     let reach = if count >= 5 { 2 } else { 1 };
     let closed = points[0] == points[count - 1] && count > 2 * reach;
@@ -201,7 +264,7 @@ mod tests {
         check("[[0,0],[0,2e6]]", &[], &["path.points[1]", "2000000"]);
         check("[[0,0],[0,0],[1,0]]", &[], &["path.points[1]", "repeats the point"]);
         check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0]"], &["path.speeds_mps", "1 speeds for 2"]);
-        check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0,0.0]"], &["path.speeds_mps[1]", "(0, 50]"]);
+        check("[[0,0],[1,0]]", &["path.speeds_mps=[0.0,1.0]"], &["path.speeds_mps[0]", "(0, 50]"]);
         check("[[0,0],[1,0]]", &["path.speeds_mps=[1.0,51.0]"], &["path.speeds_mps[1]", "51"]);
         check("[[2,0],[3,0]]", &[], &["path.start", "2.000 m", "path.points[0]"]);
         check(

@@ -21,6 +21,8 @@ pub(crate) struct Resampled {
     pub(crate) points: Vec<[f64; 2]>,
     /// The speed at each point, if there were any.
     pub(crate) speeds_mps: Vec<f64>,
+    /// From each point to the road's edges on the left and on the right, if they are known.
+    pub(crate) widths_m: Vec<[f64; 2]>,
     /// For each point, the index of the given point at or before it.
     pub(crate) given: Vec<usize>,
     /// Heading of the path at its start, in (-π, π].
@@ -95,6 +97,7 @@ pub(crate) fn resample(points: &[[f64; 2]], speeds_mps: &[f64], most: usize) -> 
     let mut resampled = Resampled {
         points: Vec::with_capacity(steps + 1),
         speeds_mps: Vec::new(),
+        widths_m: Vec::new(),
         given: Vec::with_capacity(steps + 1),
         yaw_rad: wrap(headings[0]),
         length_m,
@@ -124,10 +127,17 @@ pub(crate) fn resample(points: &[[f64; 2]], speeds_mps: &[f64], most: usize) -> 
             resampled.speeds_mps.push(if step == steps { to } else { speed_mps });
         }
     }
-    let step_m = length_m / steps as f64;
-    resampled.time_s =
-        resampled.speeds_mps.windows(2).map(|pair| 2.0 * step_m / (pair[0] + pair[1])).sum();
+    resampled.count_time();
     resampled
+}
+
+impl Resampled {
+    /// Sums up the time to the end, after the speeds were changed.
+    pub(crate) fn count_time(&mut self) {
+        let step_m = self.length_m / (self.points.len() - 1) as f64;
+        self.time_s =
+            self.speeds_mps.windows(2).map(|pair| 2.0 * step_m / (pair[0] + pair[1])).sum();
+    }
 }
 
 /// The path's heading at each point.

@@ -341,6 +341,9 @@ pub struct PathConfig {
     pub points: Vec<[f64; 2]>,
     /// The reference's speed at each point; empty if it is the same everywhere.
     pub speeds_mps: Vec<f64>,
+    /// From each point to the road's edges, on the left and on the right; empty if they are not known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub widths_m: Vec<[f64; 2]>,
     /// How many times a closed path is driven. Points, speeds and zones are those of one lap.
     #[serde(default = "one_lap")]
     pub laps: u32,

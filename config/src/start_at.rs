@@ -80,6 +80,9 @@ impl Resampled {
         if !self.speeds_mps.is_empty() {
             turn(&mut self.speeds_mps, nearest);
         }
+        if !self.widths_m.is_empty() {
+            turn(&mut self.widths_m, nearest);
+        }
         self.yaw_rad = all_headings[nearest];
         Ok(())
     }

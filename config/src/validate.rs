@@ -104,7 +104,10 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
     ] {
         within(key, value, -1e6, 1e6)?;
     }
-    points::validate(path, &config.vehicle, &config.supervisor)?;
+    // A reference that the vehicle pushes ahead of itself has no speed of its own.
+    let by_time = config.reference.advance == Advance::Time;
+    let reference_mps = if by_time { config.reference.speed_mps } else { 0.0 };
+    points::validate(path, &config.vehicle, &config.supervisor, reference_mps)?;
     for (index, piece) in path.pieces.iter().enumerate() {
         let key = |field: &str| format!("path.pieces[{index}].{field}");
         match *piece {

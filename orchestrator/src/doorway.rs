@@ -18,6 +18,7 @@ use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
 use crate::runs::folder::refuse_earlier_run;
 use crate::runs::result::name_files;
+use crate::runs::setup::{BagReader, read_bags_with};
 use crate::study::sweep;
 use crate::words::{Failure, print_failure, print_line, print_usage_error};
 
@@ -53,6 +54,8 @@ pub struct Tools {
     pub journal: fn(&Path, &Path) -> Result<(), Failure>,
     /// Identifies a car from recorded drives.
     pub identify: fn(&IdentifyArgs) -> Result<(), Failure>,
+    /// Reads the path of a bag of ROS 2.
+    pub path_of_bag: BagReader,
 }
 
 /// Does what the command line says.
@@ -99,6 +102,7 @@ fn run_with_stack(house: House) -> ExitCode {
 /// Returns whether all is well. A finding is not a failure: what is wrong has been printed already.
 fn execute(command: Command, house: House) -> Result<bool, Failure> {
     let House { services, tools } = house;
+    read_bags_with(tools.path_of_bag);
     let draw = |ended: EndedRun| name_files(&ended, (tools.report)(&ended.folder));
     match command {
         Command::Train(args) => commands::train(&args, services).and_then(draw),

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::PathReading;
+
 /// Options of `compare`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -40,6 +42,9 @@ pub struct CompareArgs {
     /// A path of your own: a CSV file, as for `train`
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
+    /// How its file is read.
+    #[command(flatten)]
+    pub reading: PathReading,
     /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,

@@ -4,6 +4,7 @@ mod calibrate;
 mod compare;
 mod excite;
 mod identify;
+mod path;
 mod sweep;
 mod time;
 
@@ -18,6 +19,7 @@ pub use calibrate::CalibrateArgs;
 pub use compare::CompareArgs;
 pub use excite::ExciteArgs;
 pub use identify::{CommandType, IdentifyArgs};
+pub use path::PathReading;
 pub use sweep::{EngineArgs, KubernetesArgs, RunJobsArgs, SlurmArgs, StudyArg, SweepCommand};
 
 /// Tunes a path-tracking controller by reinforcement learning, in separate processes that communicate over shared
@@ -294,10 +296,13 @@ pub struct GridArgs {
 /// Options of every command that runs a pipeline.
 #[derive(Debug, Args)]
 pub struct SetupArgs {
-    /// A path of your own: a CSV file with the columns x_m,y_m and optionally v_mps, or a raceline separated by ';'; a
-    /// TOML file next to it may hold zones
+    /// A path of your own: a table with the columns x_m,y_m and optionally v_mps, a raceline separated by ';', waypoints
+    /// without a header, UTM, latitude and longitude, GPX; how it was read is told. A TOML file next to it may hold zones
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
+    /// How its file is read.
+    #[command(flatten)]
+    pub reading: PathReading,
     /// Drives a path that ends where it begins N times (the key path.laps); result.json holds time and distance of each
     /// lap [default: 1]
     #[arg(long, value_name = "N", requires = "path")]
@@ -403,6 +408,9 @@ pub struct CertifyArgs {
     /// A path of your own, as for `drive`
     #[arg(long, value_name = "FILE", conflicts_with = "what")]
     pub path: Option<PathBuf>,
+    /// How its file is read.
+    #[command(flatten)]
+    pub reading: PathReading,
     /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,

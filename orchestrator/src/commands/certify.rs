@@ -7,8 +7,9 @@ use config::{Layers, Parameters, RunConfig};
 use crate::cli::CertifyArgs;
 use crate::commands::drive::{choose, describe, tuned_parameters};
 use crate::runs::resolved_config;
-use crate::runs::setup::read;
+use crate::runs::setup::{add_path, read};
 use crate::words::Failure;
+use crate::words::terminal::tell;
 
 /// What is to be certified.
 #[derive(Debug, Clone)]
@@ -84,7 +85,10 @@ fn of_manoeuvre(args: &CertifyArgs, name: Option<&str>) -> Result<RunConfig, Fai
         layers.set_vehicle("--vehicle", vehicle)?;
     }
     if let Some(path) = &args.path {
-        layers.add_path_from(path, None)?;
+        add_path(&mut layers, path, None, &args.reading)?;
+        for note in layers.notes() {
+            tell!("pathtune: {note}");
+        }
     }
     for assignment in &args.set {
         layers.set(assignment)?;

@@ -25,6 +25,8 @@ pub fn compare_configs(args: &CompareArgs) -> Result<Vec<RunConfig>, Failure> {
 fn config_of(args: &CompareArgs, tuner: &str, quiet: bool) -> Result<RunConfig, Failure> {
     let sources = Sources {
         path: args.path.as_deref(),
+        reading: &args.reading,
+        tells_of_path: !quiet,
         vehicle: args.vehicle.as_deref(),
         law: args.law.as_deref(),
         objective: args.objective.as_deref(),

@@ -13,4 +13,5 @@ pub(crate) mod vehicle_file;
 
 pub use folder::resolved_config;
 pub use result::EndedRun;
+pub use setup::BagReader;
 pub use state::{LivingRun, living_run};

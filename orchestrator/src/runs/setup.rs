@@ -1,16 +1,18 @@
 //! From options to a plan: configuration, processes and folder of a run, checked before anything starts.
 
 use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use config::launch::{Launch, Role};
-use config::{Layers, RunConfig, StartAt, SweepKind, SweepPlan, read_small};
+use config::{Layers, RecordedPath, RunConfig, StartAt, SweepKind, SweepPlan, read_small};
 use runtime::Wait;
 use runtime::chaos::Script;
 use runtime::run::sweep_dead_runs;
 
-use crate::cli::{SetupArgs, WaitArg};
+use crate::cli::{PathReading, SetupArgs, WaitArg};
 use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
@@ -23,6 +25,7 @@ use crate::words::{Failure, known};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sources<'a> {
     pub(crate) path: Option<&'a Path>,
+    pub(crate) reading: &'a PathReading,
     pub(crate) vehicle: Option<&'a str>,
     pub(crate) law: Option<&'a str>,
     pub(crate) objective: Option<&'a str>,
@@ -31,12 +34,15 @@ pub(crate) struct Sources<'a> {
     pub(crate) start: Option<StartAt>,
     pub(crate) set: &'a [String],
     pub(crate) quiet: bool,
+    /// Whether to tell how the path's file was read: that is no progress, and told in quiet runs, too.
+    pub(crate) tells_of_path: bool,
 }
 
 impl<'a> From<&'a SetupArgs> for Sources<'a> {
     fn from(args: &'a SetupArgs) -> Self {
         Self {
             path: args.path.as_deref(),
+            reading: &args.reading,
             vehicle: args.vehicle.as_deref(),
             law: args.law.as_deref(),
             objective: args.objective.as_deref(),
@@ -45,6 +51,7 @@ impl<'a> From<&'a SetupArgs> for Sources<'a> {
             start: args.start,
             set: &args.set,
             quiet: args.quiet,
+            tells_of_path: true,
         }
     }
 }
@@ -81,9 +88,10 @@ pub(crate) fn layers<'a>(
     if let Some(vehicle) = args.vehicle {
         layers.set_vehicle("--vehicle", vehicle)?;
     }
-    // Keys that are derived from the path's length can still be overridden by hand.
+    // What is made of a path depends on these; keys that are derived from it can still be overridden by hand.
+    let of_path = ["reference.", "path.laps", "vehicle.", "supervisor."];
     let (before, after): (Vec<_>, Vec<_>) =
-        args.set.iter().partition(|it| it.starts_with("reference.") || it.starts_with("path.laps"));
+        args.set.iter().partition(|it| of_path.iter().any(|key| it.starts_with(key)));
     for assignment in before {
         layers.set(assignment)?;
     }
@@ -91,17 +99,54 @@ pub(crate) fn layers<'a>(
         layers.put("--laps", "path.laps", i64::from(laps))?;
     }
     if let Some(path) = args.path {
-        layers.add_path_from(path, args.start)?;
+        add_path(&mut layers, path, args.start, args.reading)?;
     }
     for assignment in after {
         layers.set(assignment)?;
     }
     // A configuration with a mistake has one message, that of the mistake.
-    let is_told = !args.quiet && layers.borrowed().is_some() && layers.clone().resolve().is_ok();
-    if let Some(borrowed) = layers.borrowed().filter(|_| is_told) {
-        tell!("pathtune: {borrowed}");
+    let borrowed = layers.borrowed().filter(|_| !args.quiet);
+    let notes = if args.tells_of_path { layers.notes() } else { &[] };
+    let lines: Vec<&str> = borrowed.into_iter().chain(notes.iter().map(String::as_str)).collect();
+    if !lines.is_empty() && layers.clone().resolve().is_ok() {
+        for line in lines {
+            tell!("pathtune: {line}");
+        }
     }
     Ok(layers)
+}
+
+/// Reads the path of a bag of ROS 2, on this topic if one is given.
+pub type BagReader = fn(&Path, Option<&str>) -> Result<RecordedPath, String>;
+
+/// What reads bags: a part that this library does not link.
+static BAGS: OnceLock<BagReader> = OnceLock::new();
+
+/// Says what reads bags, once, before the first command.
+pub(crate) fn read_bags_with(reader: BagReader) {
+    let _ = BAGS.set(reader);
+}
+
+/// Puts the path of a file or of a bag on top of the layers.
+pub(crate) fn add_path(
+    layers: &mut Layers,
+    path: &Path,
+    start: Option<StartAt>,
+    reading: &PathReading,
+) -> Result<(), Failure> {
+    let options = reading.options();
+    let Some(reader) = BAGS.get().filter(|_| is_mcap(path)) else {
+        return Ok(layers.add_path_with(path, start, &options)?);
+    };
+    let recorded = reader(path, reading.path_topic.as_deref()).map_err(Failure::User)?;
+    Ok(layers.add_recorded_path(path, recorded, start, &options)?)
+}
+
+/// Whether a file begins as an MCAP file does. One that cannot be read is reported by who reads it.
+fn is_mcap(path: &Path) -> bool {
+    let mut start = [0; 5];
+    let read = config::open_regular(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && &start == b"\x89MCAP"
 }
 
 /// The parts that options of the command line name.

@@ -197,7 +197,8 @@ impl DriveController {
         let sight =
             Sight::of_vehicle(self.tracked_point_m, self.wheelbase_m, &self.reference, phase.ticks)
                 .with(reference_pose, measured, speed_mps, yaw_rate_radps, self.near_m);
-        let command = self.law.command(&self.parameters, &sight);
+        let mut command = self.law.command(&self.parameters, &sight);
+        command.speed_mps = command.speed_mps.min(self.reference.bound_mps());
         let error = sight.error;
         self.near_m = sight.near_m();
 

@@ -142,6 +142,7 @@ fn map(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup, Re
         let reference = rows.iter().map(|row| (row.reference_x_m, row.reference_y_m));
         lines.push(Line::new("reference", reference, Stroke::dashed(GREY, 3.2, &[9.0, 6.0])));
     }
+    lines.extend(edges(config));
     let borders = borders_on_map(config);
     let picture = Map {
         name: &format!("{}-trajectory", set.name),
@@ -162,6 +163,21 @@ fn map(page: &mut Page, set: &DriveSet, config: &RunConfig) -> Result<Markup, Re
         );
     }
     Ok(page.figure(picture, &caption))
+}
+
+/// The edges of the road, where they are known.
+fn edges(config: &RunConfig) -> Vec<Line> {
+    let points = &config.path.points;
+    let edge = |side: usize, sign: f64| {
+        let at = config.path.widths_m.iter().enumerate().map(|(index, widths_m)| {
+            let (from, to) = (index.saturating_sub(1), (index + 1).min(points.len() - 1));
+            let (dx, dy) = (points[to][0] - points[from][0], points[to][1] - points[from][1]);
+            let aside = sign * widths_m[side] / dx.hypot(dy).max(1e-9);
+            (points[index][0] - aside * dy, points[index][1] + aside * dx)
+        });
+        Line::new("edge of the road", at, Stroke::solid(GREY, 1.0))
+    };
+    if config.path.widths_m.is_empty() { Vec::new() } else { vec![edge(0, 1.0), edge(1, -1.0)] }
 }
 
 /// Where the zones begin on the path; empty if there is only one.

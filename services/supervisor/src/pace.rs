@@ -91,6 +91,9 @@ impl Pace {
     }
 }
 
+/// The slowest speed of a path that commands and lateness are compared with.
+const SLOWEST_MPS: f64 = 0.1;
+
 impl Waiting {
     /// Takes one tick; the rate that fits the ticks since the last look, if it is time to look.
     fn look(&mut self, tick: u64, measured: Pose, progress: Progress) -> Option<f64> {
@@ -112,6 +115,8 @@ impl Waiting {
         let mean_mps = self.asked_mps / self.count.max(1.0);
         (self.asked_mps, self.count) = (0.0, 0.0);
         let (path, speed_mps) = (self.reference.path(), self.reference.path_speed_mps(along_m));
+        // Where a path ends at rest, any command would be many times its speed.
+        let speed_mps = speed_mps.max(SLOWEST_MPS);
         self.follower.distance_m(path, measured.x_m, measured.y_m);
         let late_m = along_m - self.follower.along_m(path, measured.x_m, measured.y_m);
         let by_speed = falling(mean_mps / speed_mps, self.from_speed, self.to_speed);

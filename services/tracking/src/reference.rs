@@ -264,6 +264,15 @@ impl Reference {
         timetable.as_ref().map_or(*speed_mps, |table| table.speed_mps(along_m))
     }
 
+    /// The highest speed for a vehicle that pushes its reference ahead of itself, on a path with speeds of its own: the one
+    /// at its place. Otherwise there is none, since the clock of the reference keeps the speed.
+    pub fn bound_mps(&self) -> f64 {
+        match (self.plan.advance, &self.plan.timetable) {
+            (Advance::Projection, Some(table)) => table.speed_mps(self.along_m),
+            _ => f64::INFINITY,
+        }
+    }
+
     /// Pose of the path's end.
     pub fn end(&self) -> Pose {
         self.plan.end

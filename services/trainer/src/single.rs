@@ -136,7 +136,8 @@ pub(crate) fn fastest(config: &RunConfig, rows: &[Row]) -> Option<outcome::Faste
         let path_speed_mps = reference.path_speed_mps(along_m);
         outcome::Fastest { speed_mps: row.speed_mps, path_speed_mps }
     });
-    let share = |it: &outcome::Fastest| it.speed_mps / it.path_speed_mps;
+    // Where the path ends at rest, any speed would be many times its own.
+    let share = |it: &outcome::Fastest| it.speed_mps / it.path_speed_mps.max(0.2);
     speeds.max_by(|a, b| share(a).total_cmp(&share(b)))
 }
 

@@ -1,0 +1,116 @@
+//! Which columns of a table without a header are the coordinates.
+
+/// What a table of numbers without names was taken for.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Guess {
+    pub(super) x: usize,
+    pub(super) y: usize,
+    pub(super) v: Option<usize>,
+    /// What is told of it.
+    pub(super) words: String,
+}
+
+/// Finds the coordinates among the columns, all rows having the same number of them.
+///
+/// # Errors
+/// With what the table looks like, if nothing decides.
+pub(super) fn guess(rows: &[Vec<f64>]) -> Result<Guess, String> {
+    let columns = rows[0].len();
+    let taken = |x: usize, y: usize, v: Option<usize>, words: String| Ok(Guess { x, y, v, words });
+    if columns < 2 {
+        return Err("holds one column, but a path needs two, x and y; say how they are separated by a comma".to_owned());
+    }
+    if columns == 2 {
+        return taken(0, 1, None, "no header: columns 1, 2 taken as x_m, y_m".to_owned());
+    }
+    if columns == 12 && is_rotation(rows) {
+        return Err("looks like poses of KITTI, twelve numbers of a matrix a row; say which columns are the ground's, as \
+                    --columns x=4,y=12"
+            .to_owned());
+    }
+    if let Some(first) = (1..=3).find(|first| is_quaternion(rows, first + 2)) {
+        let time = if first > 1 { ", after a time" } else { "" };
+        let words = format!(
+            "no header: a quaternion in columns {}…{}, so columns {first}, {} taken as x_m, y_m{time}",
+            first + 3,
+            first + 6,
+            first + 1
+        );
+        return taken(first - 1, first, None, words);
+    }
+    if is_length_along(rows) {
+        // The raceline of TUM's tools: s, x, y, psi, kappa, vx, ax.
+        let v = (columns == 7).then_some(5);
+        let speeds = if v.is_some() {
+            ", column 6 as vx_mps"
+        } else {
+            "; no column read as a speed (--columns v=…)"
+        };
+        let words = format!(
+            "no header: column 1 is the length along columns 2, 3, taken as x_m, y_m{speeds}"
+        );
+        return taken(1, 2, v, words);
+    }
+    let first: Vec<f64> = rows.iter().map(|row| row[0]).collect();
+    let rises = rows.len() > 2 && first.windows(2).all(|pair| pair[1] > pair[0]);
+    if rises && first[0] > 1e8 {
+        return taken(
+            1,
+            2,
+            None,
+            "no header: column 1 taken as a time, columns 2, 3 as x_m, y_m".to_owned(),
+        );
+    }
+    if rises && is_even(&first) && varies(rows, 1) && varies(rows, 2) {
+        return Err("has no header, and its first column rises evenly, as a time or a number of the row does; say which columns are \
+                    x and y, as --columns x=2,y=3 or x=1,y=2"
+            .to_owned());
+    }
+    let others =
+        if columns == 3 { "column 3 is".to_owned() } else { format!("columns 3…{columns} are") };
+    let words = format!(
+        "no header: columns 1, 2 taken as x_m, y_m; {others} not read (a speed in m/s: --columns x=1,y=2,v=3)"
+    );
+    taken(0, 1, None, words)
+}
+
+/// Whether four columns from this one on (counted from 0) are the quaternion of a pose, in every row.
+fn is_quaternion(rows: &[Vec<f64>], from: usize) -> bool {
+    rows.iter().all(|row| {
+        row.get(from..from + 4).is_some_and(|q| {
+            let norm: f64 = q.iter().map(|it| it * it).sum();
+            (norm - 1.0).abs() < 1e-2
+        })
+    }) && rows.len() > 1
+}
+
+/// Whether the first three columns of a 3 × 4 matrix have unit length.
+fn is_rotation(rows: &[Vec<f64>]) -> bool {
+    rows.iter().all(|row| {
+        (0..3).all(|column| {
+            let norm: f64 =
+                (0..3).map(|line| row[4 * line + column] * row[4 * line + column]).sum();
+            (norm - 1.0).abs() < 1e-2
+        })
+    })
+}
+
+/// Whether the first column is the length along the path through the next two.
+fn is_length_along(rows: &[Vec<f64>]) -> bool {
+    let mut off = 0.0_f64;
+    for pair in rows.windows(2) {
+        let (last, next) = (&pair[0], &pair[1]);
+        let chord = libm::hypot(next[1] - last[1], next[2] - last[2]);
+        off = off.max((next[0] - last[0] - chord).abs() / chord.max(1e-3));
+    }
+    rows.len() > 2 && off < 0.1
+}
+
+fn is_even(values: &[f64]) -> bool {
+    let step = values[1] - values[0];
+    values.windows(2).all(|pair| ((pair[1] - pair[0]) / step - 1.0).abs() < 0.02)
+}
+
+fn varies(rows: &[Vec<f64>], column: usize) -> bool {
+    rows.iter().any(|row| row[column] != rows[0][column])
+}

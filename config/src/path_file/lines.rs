@@ -1,0 +1,91 @@
+//! The lines of a table, and the fields of a line.
+
+/// Signs that begin a comment.
+const COMMENTS: [&str; 3] = ["#", "//", "%"];
+
+/// What stands between two fields.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Delimiter {
+    Sign(char),
+    /// Any number of spaces and tabs.
+    Space,
+}
+
+impl Delimiter {
+    /// What separates the fields of this line.
+    pub(super) fn of(line: &str) -> Self {
+        let is_decimal = |word: &str| {
+            let digits = |it: &str| !it.is_empty() && it.chars().all(|c| c.is_ascii_digit());
+            let word = word.trim_start_matches(['-', '+']);
+            word.split_once(',').is_some_and(|(whole, part)| digits(whole) && digits(part))
+        };
+        let words = line.split_whitespace();
+        match line {
+            _ if line.contains(';') => Self::Sign(';'),
+            // Spaces between numbers with a decimal comma.
+            _ if words.clone().count() > 1 && words.clone().all(is_decimal) => Self::Space,
+            _ if line.contains(',') => Self::Sign(','),
+            _ if line.contains('|') => Self::Sign('|'),
+            _ => Self::Space,
+        }
+    }
+
+    /// The fields of a line, without the quotes and brackets that some programs put around them, and without an empty one
+    /// behind a separator at the line's end.
+    pub(super) fn fields(self, line: &str) -> Vec<&str> {
+        let all: Vec<&str> = match self {
+            Self::Sign(sign) => line.split(sign).collect(),
+            Self::Space => line.split_whitespace().collect(),
+        };
+        let mut fields: Vec<&str> = all.into_iter().map(bare).collect();
+        if self != Self::Space && fields.len() > 2 && fields.last() == Some(&"") {
+            fields.pop();
+        }
+        fields
+    }
+
+    /// It in words.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Sign(';') => "';'",
+            Self::Sign('|') => "'|'",
+            Self::Sign(_) => "','",
+            Self::Space => "spaces",
+        }
+    }
+}
+
+/// A field without quotes, and a number without brackets; a name keeps its unit in brackets.
+fn bare(field: &str) -> &str {
+    let field = field.trim().trim_matches(['"', '\'']).trim();
+    let is_name = field.chars().any(|c| c.is_alphabetic() && !matches!(c, 'e' | 'E'));
+    if is_name { field } else { field.trim_matches(['(', ')', '[', ']']).trim() }
+}
+
+/// A line with its number in the file.
+pub(super) type Line<'a> = (usize, &'a str);
+
+/// The lines that are no comments, and the comments above the first of them, without their sign.
+pub(super) fn split(text: &str) -> (Vec<Line<'_>>, Vec<Line<'_>>) {
+    let (mut body, mut comments) = (Vec::new(), Vec::new());
+    // Old Macs end a line with \r alone.
+    let is_old = !text.contains('\n') && text.contains('\r');
+    let lines: Vec<&str> = if is_old { text.split('\r').collect() } else { text.lines().collect() };
+    for (line, content) in lines.into_iter().enumerate().map(|(index, it)| (index + 1, it.trim())) {
+        let quoted = content.trim_start_matches('"');
+        match COMMENTS.iter().find_map(|sign| quoted.strip_prefix(sign)) {
+            Some(comment) if body.is_empty() => {
+                comments.push((line, comment.trim_start_matches(['#', '/', '%']).trim()))
+            }
+            Some(_) => {}
+            None if content.is_empty() => {}
+            None => body.push((line, content)),
+        }
+    }
+    (body, comments)
+}
+
+/// A number as it is written in a file; `comma` says that its decimals stand after a comma.
+pub(super) fn number(field: &str, comma: bool) -> Option<f64> {
+    if comma { field.replacen(',', ".", 1).parse().ok() } else { field.parse().ok() }
+}

@@ -1,0 +1,462 @@
+//! Reads the rows of a table: which columns count, and their numbers.
+
+use super::header::{Role, Unit, is_speed_in_si, meaning};
+use super::lines::{self, Delimiter, Line};
+use super::options::{Columns, Place};
+use super::{PathOptions, Raw, headless, mistake, quoted};
+use crate::ConfigError;
+
+/// The largest coordinate: any grid of the Earth has smaller ones.
+const FARTHEST_M: f64 = 1e9;
+/// The highest speed, as that of `reference.speed_mps`.
+const FASTEST_MPS: f64 = 50.0;
+/// Lines above the header that are skipped.
+const MOST_PREAMBLE: usize = 20;
+/// The widest road.
+const WIDEST_M: f64 = 1000.0;
+
+/// One column that is read.
+#[derive(Debug, Clone)]
+struct Used {
+    role: Role,
+    unit: Unit,
+    index: usize,
+    name: String,
+}
+
+/// Where the columns are, and how many a row has.
+#[derive(Debug)]
+struct Plan {
+    used: Vec<Used>,
+    /// The names of all columns; empty without a header.
+    names: Vec<String>,
+    notes: Vec<String>,
+}
+
+/// Reads a table.
+pub(super) fn read(origin: &str, text: &str, options: &PathOptions) -> Result<Raw, ConfigError> {
+    let (body, comments) = lines::split(text);
+    let Some(&first) = body.first() else {
+        let named = comments.iter().find(|(_, comment)| names_a_path(comment));
+        let (line, problem) = match named {
+            Some((line, _)) => (*line, "no points follow; write one per line"),
+            None => {
+                (1, "holds only comments; write a header x_m,y_m[,v_mps], and one point per line")
+            }
+        };
+        return Err(mistake(origin, line, problem));
+    };
+    let above = body.iter().take(MOST_PREAMBLE).take_while(|(_, line)| !is_numbers(line)).count();
+    // A header without the comment sign takes precedence over one in a comment.
+    let mut header: Option<(Line<'_>, usize)> =
+        (0..above).find(|index| names_a_path(body[*index].1)).map(|index| (body[index], index + 1));
+    if header.is_none() {
+        let in_comment = comments.iter().find(|(_, comment)| names_a_path(comment));
+        header = in_comment.map(|line| (*line, above.min(usize::from(options.columns.is_some()))));
+    }
+    if header.is_none() && options.columns.is_some() && above > 0 {
+        // Its columns may still be named.
+        header = Some((body[above - 1], above));
+    }
+    if header.is_none() && above > 0 {
+        return Err(mistake(origin, first.0, no_header(first.1)));
+    }
+    let data = &body[header.map_or(0, |(_, count)| count)..];
+    let header = header.map(|(line, _)| line);
+    let Some(&(_, sample)) = data.first() else {
+        let line = header.map_or(first.0, |(line, _)| line);
+        return Err(mistake(origin, line, "no points follow; write one per line"));
+    };
+    let table = Table { origin, header, data, delimiter: Delimiter::of(sample), comma: false };
+    let table = Table { comma: table.has_decimal_commas(), ..table };
+    let plan = table.plan(options.columns.as_ref())?;
+    let mut raw = table.rows(&plan)?;
+    let says = |word: &str| {
+        let in_comments = comments.iter().any(|(_, comment)| comment.to_lowercase().contains(word));
+        in_comments || header.is_some_and(|(_, names)| names.to_lowercase().contains(word))
+    };
+    raw.is_mercator = ["mercator", "epsg:3857", "epsg:900913"].iter().any(|word| says(word));
+    Ok(raw)
+}
+
+/// Whether a line's first field, and most of the others, are numbers.
+fn is_numbers(line: &str) -> bool {
+    let delimiter = Delimiter::of(line);
+    let fields = delimiter.fields(line);
+    let numbers = fields
+        .iter()
+        .filter(|field| lines::number(field, delimiter != Delimiter::Sign(',')).is_some())
+        .count();
+    2 * numbers >= fields.len() && numbers > 0
+}
+
+/// Whether a line is a header that names both coordinates.
+fn names_a_path(line: &str) -> bool {
+    let fields = Delimiter::of(line).fields(line);
+    let has =
+        |role: Role| fields.iter().any(|name| meaning(name).is_some_and(|(it, _)| it == role));
+    (has(Role::X) && has(Role::Y)) || (has(Role::Lat) && has(Role::Lon))
+}
+
+/// What is wrong with a first line that is neither a header nor numbers.
+fn no_header(first: &str) -> String {
+    let fields = Delimiter::of(first).fields(first);
+    let has =
+        |role: Role| fields.iter().any(|name| meaning(name).is_some_and(|(it, _)| it == role));
+    let missing = match (has(Role::X), has(Role::Y)) {
+        (true, _) => "no column y_m",
+        (_, true) => "no column x_m",
+        _ => "no columns x_m and y_m",
+    };
+    format!(
+        "has {missing}; found {}; write a header x_m,y_m[,v_mps], or say which columns they are with --columns x=1,y=2",
+        quoted(&fields.join(", "))
+    )
+}
+
+/// The rows of a file, and how they are written.
+#[derive(Debug)]
+struct Table<'a> {
+    origin: &'a str,
+    header: Option<Line<'a>>,
+    data: &'a [Line<'a>],
+    delimiter: Delimiter,
+    /// Whether decimals stand after a comma.
+    comma: bool,
+}
+
+impl Table<'_> {
+    /// Whether the numbers have decimal commas: the comma separates nothing, stands in some field, and no point does.
+    fn has_decimal_commas(&self) -> bool {
+        self.delimiter != Delimiter::Sign(',')
+            && self.data.iter().any(|(_, line)| line.contains(','))
+            && !self.data.iter().any(|(_, line)| line.contains('.'))
+    }
+
+    fn fails(&self, line: usize, problem: impl Into<String>) -> ConfigError {
+        mistake(self.origin, line, problem)
+    }
+
+    /// Which columns are read.
+    fn plan(&self, columns: Option<&Columns>) -> Result<Plan, ConfigError> {
+        let mut plan = match (columns, self.header) {
+            (Some(columns), header) => self.of_user(columns, header)?,
+            (None, Some(header)) => self.of_header(header)?,
+            (None, None) => self.of_numbers()?,
+        };
+        if self.comma {
+            plan.notes.push("decimals are taken to stand after a comma".to_owned());
+        }
+        Ok(plan)
+    }
+
+    fn names(&self, (_, header): Line<'_>) -> Vec<String> {
+        Delimiter::of(header).fields(header).into_iter().map(str::to_owned).collect()
+    }
+
+    /// The columns that the user names.
+    fn of_user(&self, columns: &Columns, header: Option<Line<'_>>) -> Result<Plan, ConfigError> {
+        let names = header.map(|header| self.names(header)).unwrap_or_default();
+        let count = self.delimiter.fields(self.data[0].1).len();
+        let line = header.map_or(self.data[0].0, |(line, _)| line);
+        let mut used = Vec::new();
+        for column in &columns.0 {
+            let index = match &column.place {
+                Place::Index(index) if *index < count => *index,
+                Place::Index(_) => {
+                    let problem =
+                        format!("--columns names column {}, but the row has {count}", column.place);
+                    return Err(self.fails(self.data[0].0, problem));
+                }
+                Place::Name(name) => {
+                    names.iter().position(|it| it.eq_ignore_ascii_case(name)).ok_or_else(|| {
+                        let found = if names.is_empty() {
+                            "there is no header".to_owned()
+                        } else {
+                            quoted(&names.join(", "))
+                        };
+                        self.fails(
+                            line,
+                            format!("has no column {name}, which --columns names; found {found}"),
+                        )
+                    })?
+                }
+            };
+            let name = names.get(index).cloned().unwrap_or_else(|| format!("column {}", index + 1));
+            used.push(Used { role: column.role, unit: column.unit, index, name });
+        }
+        // A header of another kind than the rows: names that count otherwise are none.
+        let names = if names.len() == count { names } else { Vec::new() };
+        Ok(Plan { used, names, notes: Vec::new() })
+    }
+
+    /// The columns that the header names.
+    fn of_header(&self, header: Line<'_>) -> Result<Plan, ConfigError> {
+        let names = self.names(header);
+        let (mut used, mut notes): (Vec<Used>, Vec<String>) = (Vec::new(), Vec::new());
+        let of_ros = names.iter().any(|name| {
+            let name = name.to_lowercase();
+            matches!(name.as_str(), "qw" | "q_w" | "quat_w") || name.contains("orientation")
+        });
+        for role in [Role::X, Role::Y, Role::Lat, Role::Lon, Role::Speed, Role::Left, Role::Right] {
+            let of_role: Vec<usize> = (0..names.len())
+                .filter(|index| meaning(&names[*index]).is_some_and(|(it, _)| it == role))
+                .collect();
+            let Some(index) = self.chosen(header.0, &names, role, &of_role)? else { continue };
+            let name = names[index].clone();
+            let unit = match meaning(&name).map(|(_, unit)| unit) {
+                Some(Err(unit)) => {
+                    let problem = format!(
+                        "names {name}, in {unit}, which is not understood; say what it is in, as --columns x_m=1,y_m=2,v_kmh=3"
+                    );
+                    return Err(self.fails(header.0, problem));
+                }
+                Some(Ok(Some(unit))) => unit,
+                _ if role == Role::Speed && !is_speed_in_si(&name) && !of_ros => {
+                    let (x, y) = (self.place(&used, Role::X), self.place(&used, Role::Y));
+                    let problem = format!(
+                        "names {name} without a unit (Autoware.AI writes km/h, others m/s); say it, as --columns \
+                         x={x},y={y},v_mps={0} or v_kmh={0}, or leave the speed out",
+                        index + 1
+                    );
+                    return Err(self.fails(header.0, problem));
+                }
+                _ => role.unit(),
+            };
+            used.push(Used { role, unit, index, name });
+        }
+        let is_flat =
+            used.iter().any(|it| it.role == Role::X) && used.iter().any(|it| it.role == Role::Y);
+        used.retain(|it| {
+            is_flat != matches!(it.role, Role::Lat | Role::Lon)
+                || !matches!(it.role, Role::X | Role::Y | Role::Lat | Role::Lon)
+        });
+        let as_ever = |it: &Used| matches!(it.name.as_str(), "x_m" | "y_m" | "v_mps" | "vx_mps");
+        let told: Vec<String> = used
+            .iter()
+            .filter(|it| !as_ever(it))
+            .map(|it| match it.role {
+                Role::X => format!("x_m from {}", it.told()),
+                Role::Y => format!("y_m from {}", it.told()),
+                Role::Lat => format!("latitude from {}", it.name),
+                Role::Lon => format!("longitude from {}", it.name),
+                Role::Speed => format!("v_mps from {}", it.told()),
+                Role::Left => format!("the left edge from {}", it.told()),
+                Role::Right => format!("the right edge from {}", it.told()),
+            })
+            .collect();
+        if !told.is_empty() {
+            notes.push(format!("read {}", told.join(", ")));
+        }
+        Ok(Plan { used, names, notes })
+    }
+
+    fn place(&self, used: &[Used], role: Role) -> usize {
+        used.iter().find(|it| it.role == role).map_or(1, |it| it.index + 1)
+    }
+
+    /// The one column among those that may hold this.
+    fn chosen(
+        &self,
+        line: usize,
+        names: &[String],
+        role: Role,
+        of_role: &[usize],
+    ) -> Result<Option<usize>, ConfigError> {
+        let (&[first, ..], exact) = (of_role, exact_names(role)) else { return Ok(None) };
+        // x,y,z,x,y,z,w: position before orientation.
+        let is_same = of_role.iter().all(|index| names[*index] == names[first]);
+        if is_same && names.iter().any(|name| name.eq_ignore_ascii_case("w")) && role != Role::Speed
+        {
+            return Ok(Some(first));
+        }
+        for name in exact {
+            let same: Vec<usize> =
+                of_role.iter().copied().filter(|index| names[*index] == *name).collect();
+            match same[..] {
+                [] => {}
+                [index] => return Ok(Some(index)),
+                _ => {
+                    return Err(
+                        self.fails(line, format!("names column {name} twice; rename one of them"))
+                    );
+                }
+            }
+        }
+        if of_role.len() == 1 {
+            return Ok(Some(first));
+        }
+        let found: Vec<&str> = of_role.iter().map(|index| names[*index].as_str()).collect();
+        let problem = if is_same {
+            format!("names column {} twice; rename one of them", found[0])
+        } else {
+            format!(
+                "has {} columns that may be meant: {}; say which, as --columns x=1,y=2,v=3",
+                found.len(),
+                found.join(", ")
+            )
+        };
+        Err(self.fails(line, problem))
+    }
+
+    /// The columns of a table without a header, found by their numbers.
+    fn of_numbers(&self) -> Result<Plan, ConfigError> {
+        const ENOUGH: usize = 5000;
+        let (line, first) = self.data[0];
+        let count = self.delimiter.fields(first).len();
+        let mut rows = Vec::new();
+        for (line, content) in self.data.iter().take(ENOUGH) {
+            let fields = self.delimiter.fields(content);
+            if fields.len() != count {
+                let problem = format!(
+                    "has {} fields, but line {} has {count}; separate them by {}",
+                    fields.len(),
+                    self.data[0].0,
+                    self.delimiter.name()
+                );
+                return Err(self.fails(*line, problem));
+            }
+            // What is no number is found when it is read, if it is.
+            rows.push(
+                fields
+                    .iter()
+                    .map(|field| lines::number(field, self.comma).unwrap_or(f64::NAN))
+                    .collect(),
+            );
+        }
+        let guess = headless::guess(&rows).map_err(|why| self.fails(line, why))?;
+        let used = |role: Role, index: usize| Used {
+            role,
+            unit: role.unit(),
+            index,
+            name: format!("column {}", index + 1),
+        };
+        let mut columns = vec![used(Role::X, guess.x), used(Role::Y, guess.y)];
+        columns.extend(guess.v.map(|index| used(Role::Speed, index)));
+        Ok(Plan { used: columns, names: Vec::new(), notes: vec![guess.words] })
+    }
+
+    /// Reads all rows.
+    fn rows(&self, plan: &Plan) -> Result<Raw, ConfigError> {
+        let find = |role: Role| plan.used.iter().find(|it| it.role == role);
+        let is_degrees = find(Role::X).is_none();
+        let pair = if is_degrees { (Role::Lat, Role::Lon) } else { (Role::X, Role::Y) };
+        let (Some(a), Some(b)) = (find(pair.0), find(pair.1)) else {
+            return Err(self.fails(self.data[0].0, "has no columns x_m and y_m"));
+        };
+        let speed = find(Role::Speed);
+        let widths = find(Role::Left).zip(find(Role::Right));
+        let mut raw = Raw { is_degrees, notes: plan.notes.clone(), ..Raw::default() };
+        let count = if plan.names.is_empty() {
+            self.delimiter.fields(self.data[0].1).len()
+        } else {
+            plan.names.len()
+        };
+        let header = self.header.map(|(_, header)| header);
+        let mut repeated = 0;
+        for (line, content) in self.data {
+            if header == Some(*content) {
+                repeated += 1;
+                continue;
+            }
+            let fields = self.delimiter.fields(content);
+            if fields.len() != count {
+                return Err(self.fails(*line, self.uneven(plan, fields.len(), count)));
+            }
+            let number = |used: &Used, most: f64| self.number(*line, used, &fields, most);
+            raw.points.push([number(a, FARTHEST_M)?, number(b, FARTHEST_M)?]);
+            if let Some(used) = speed {
+                raw.speeds_mps.push(self.speed(*line, used, &fields)?);
+            }
+            if let Some((left, right)) = widths {
+                raw.widths_m.push([number(left, WIDEST_M)?.abs(), number(right, WIDEST_M)?.abs()]);
+            }
+            raw.lines.push(*line);
+        }
+        if repeated > 0 {
+            raw.notes.push(format!("the header is repeated {repeated} times below; left out"));
+        }
+        Ok(raw)
+    }
+
+    fn uneven(&self, plan: &Plan, held: usize, count: usize) -> String {
+        let named = if plan.names.is_empty() {
+            format!("line {} has {count}", self.data[0].0)
+        } else {
+            format!("the header names {count} ({})", quoted(&plan.names.join(", ")))
+        };
+        let way_out = if self.delimiter == Delimiter::Sign(',') && held == 2 * count {
+            "if the decimals stand after a comma, separate the columns by ';'".to_owned()
+        } else {
+            format!("separate them by {}", self.delimiter.name())
+        };
+        format!("has {held} fields, but {named}; {way_out}")
+    }
+
+    /// A number of a row, in metres or metres per second.
+    fn number(
+        &self,
+        line: usize,
+        used: &Used,
+        fields: &[&str],
+        most: f64,
+    ) -> Result<f64, ConfigError> {
+        let (name, field) = (&used.name, fields[used.index]);
+        let wrong = |problem: String| Err(self.fails(line, format!("{name} {problem}")));
+        if field.is_empty() {
+            return wrong("is empty; write a number".to_owned());
+        }
+        let Some(value) = lines::number(field, self.comma) else {
+            let comma = field.replace(',', ".").parse::<f64>().is_ok();
+            let hint = if comma { "write the decimals after a point" } else { "write a number" };
+            return wrong(format!("is {}, which is not a number; {hint}", quoted(field)));
+        };
+        let value = value * used.unit.factor;
+        if !(-most..=most).contains(&value) {
+            return wrong(format!(
+                "is {}, but must be a number in [{}, {most}]",
+                quoted(field),
+                -most
+            ));
+        }
+        Ok(value)
+    }
+
+    /// The speed of a row. 0 is where the car stands.
+    fn speed(&self, line: usize, used: &Used, fields: &[&str]) -> Result<f64, ConfigError> {
+        let speed_mps = self.number(line, used, fields, f64::INFINITY)?;
+        if (0.0..=FASTEST_MPS).contains(&speed_mps) {
+            return Ok(speed_mps);
+        }
+        let (name, field) = (&used.name, quoted(fields[used.index]));
+        let why = if speed_mps < 0.0 {
+            "the vehicle drives only forwards".to_owned()
+        } else {
+            format!(
+                "it is taken as {}; if it is in km/h, --columns v_kmh={}",
+                used.unit.name,
+                used.index + 1
+            )
+        };
+        Err(self.fails(
+            line,
+            format!("{name} is {field}, but must lie in [0, {FASTEST_MPS}] m/s; {why}"),
+        ))
+    }
+}
+
+impl Used {
+    fn told(&self) -> String {
+        format!("{} in {}", self.name, self.unit.name)
+    }
+}
+
+/// Names that are chosen before all others with the same meaning, in this order.
+fn exact_names(role: Role) -> &'static [&'static str] {
+    match role {
+        Role::X => &["x_m", "x"],
+        Role::Y => &["y_m", "y"],
+        Role::Speed => &["v_mps", "vx_mps"],
+        _ => &[],
+    }
+}

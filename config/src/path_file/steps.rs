@@ -1,0 +1,144 @@
+//! Checks the steps from point to point, and closes a path whose ends are the same up to rounding.
+
+use super::{PathFile, geo, mistake};
+use crate::ConfigError;
+
+/// The shortest path that is worth a drive.
+const SHORTEST_M: f64 = 1.0;
+/// The longest path: a drive's time is limited to an hour.
+const LONGEST_M: f64 = 1e5;
+/// Points nearer to each other than this are the same: below what any localisation can mean.
+const SAME_POINT_M: f64 = 1e-3;
+/// A step is a gap if it is this many times the median step, …
+const GAP_FACTOR: f64 = 10.0;
+/// … and longer than this: dense points may be uneven although none is missing.
+const GAP_M: f64 = 1.0;
+/// Usual steps longer than this are hardly in metres.
+const LONG_STEP_M: f64 = 20.0;
+
+/// The path without points that repeat the one before, if its steps are those of a path.
+pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigError> {
+    let mut file = without_repeats(file);
+    let steps: Vec<_> = file.points.windows(2).map(|pair| apart_m(pair[0], pair[1])).collect();
+    let lines = &file.lines;
+    let length_m: f64 = steps.iter().sum();
+    let last = file.points.len() - 1;
+    if !(SHORTEST_M..=LONGEST_M).contains(&length_m) {
+        let way_out = match () {
+            () if length_m < SHORTEST_M && geo::looks_like_degrees(&file.points) => {
+                "the numbers look like degrees: name the columns lat and lon, or say --crs wgs84 (x being the longitude) or \
+                 --columns lat=1,lon=2"
+            }
+            () if length_m > LONGEST_M => {
+                "x_m and y_m are in metres; for millimetres or centimetres say --columns x_mm=1,y_mm=2 or x_cm=1,y_cm=2"
+            }
+            () => "x_m and y_m are in metres",
+        };
+        let problem = format!(
+            "ends a path of {length_m:.2} m, but a path must be {SHORTEST_M} m to {} km long; {way_out}",
+            LONGEST_M / 1000.0
+        );
+        return Err(mistake(origin, lines[last], problem));
+    }
+    let mut sorted = steps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let median_m = sorted[(sorted.len() - 1) / 2];
+    let gap = steps.iter().position(|step_m| *step_m > (GAP_FACTOR * median_m).max(GAP_M));
+    if let Some(index) = gap {
+        let problem = format!(
+            "lies {:.2} m after the point of line {}, but the usual step is {median_m:.2} m; fill the gap \
+             with points",
+            steps[index], lines[index]
+        );
+        return Err(mistake(origin, lines[index + 1], problem));
+    }
+    if median_m > LONG_STEP_M && last >= 10 {
+        file.notes.push(format!(
+            "its points are {median_m:.0} m apart; if the numbers are millimetres or centimetres, say --columns x_mm=1,y_mm=2"
+        ));
+    }
+    let gap_m = apart_m(file.points[0], file.points[last]);
+    if gap_m <= SAME_POINT_M && last >= 3 {
+        file.points[last] = file.points[0];
+    } else if is_one_step_open(&file.points, gap_m, median_m) {
+        // Racelines leave out the last point, because it is the first one.
+        file.points.push(file.points[0]);
+        file.lines.push(file.lines[last]);
+        if let Some(&speed_mps) = file.speeds_mps.first() {
+            file.speeds_mps.push(speed_mps);
+        }
+        if let Some(&width_m) = file.widths_m.first() {
+            file.widths_m.push(width_m);
+        }
+        file.notes.push(format!("its end is one step ({gap_m:.2} m) from its start: closed"));
+    }
+    Ok(file)
+}
+
+fn apart_m(a: [f64; 2], b: [f64; 2]) -> f64 {
+    libm::hypot(b[0] - a[0], b[1] - a[1])
+}
+
+/// Leaves out points at which the recorded car stood still, at the start, midway or at the end.
+fn without_repeats(file: PathFile) -> PathFile {
+    let mut kept: Vec<usize> = vec![0];
+    for index in 1..file.points.len() {
+        if apart_m(file.points[kept[kept.len() - 1]], file.points[index]) > SAME_POINT_M {
+            kept.push(index);
+        }
+    }
+    let dropped = file.points.len() - kept.len();
+    // At a single place there is nothing to leave out that would help.
+    if dropped == 0 || kept.len() < 2 {
+        return file;
+    }
+    let PathFile { points, speeds_mps, widths_m, lines, origin, mut notes } = file;
+    notes.push(format!(
+        "{dropped} {} the point before, and {} left out",
+        if dropped == 1 { "point repeats" } else { "points repeat" },
+        if dropped == 1 { "is" } else { "are" }
+    ));
+    PathFile {
+        points: kept.iter().map(|index| points[*index]).collect(),
+        speeds_mps: if speeds_mps.is_empty() { speeds_mps } else { speeds_of(&kept, &speeds_mps) },
+        widths_m: if widths_m.is_empty() {
+            widths_m
+        } else {
+            kept.iter().map(|index| widths_m[*index]).collect()
+        },
+        lines: kept.iter().map(|index| lines[*index]).collect(),
+        origin,
+        notes,
+    }
+}
+
+/// The speeds of the points that are kept: where several are one, the one at which the car came, or at the start left.
+fn speeds_of(kept: &[usize], speeds_mps: &[f64]) -> Vec<f64> {
+    let ends = kept.iter().skip(1).copied().chain([speeds_mps.len()]);
+    kept.iter()
+        .zip(ends)
+        .enumerate()
+        .map(|(place, (&from, to))| {
+            let all = &speeds_mps[from..to];
+            match place {
+                0 => all[all.len() - 1],
+                // Where the recorded car stood at the end, it is to stand.
+                _ if to == speeds_mps.len() => all[all.len() - 1],
+                _ => all.iter().copied().fold(f64::INFINITY, f64::min),
+            }
+        })
+        .collect()
+}
+
+/// Whether only the last step of a lap is missing: the end lies no farther from the start than two points lie apart, and
+/// the step from there to the start leads on in the direction of its neighbours.
+fn is_one_step_open(points: &[[f64; 2]], gap_m: f64, median_m: f64) -> bool {
+    /// By how much the missing step may be longer than the others.
+    const UNEVEN: f64 = 1.5;
+    let count = points.len();
+    let step = |from: [f64; 2], to: [f64; 2]| (to[0] - from[0], to[1] - from[1]);
+    let missing = step(points[count - 1], points[0]);
+    let (before, behind) = (step(points[count - 2], points[count - 1]), step(points[0], points[1]));
+    let leads_on = |(x_m, y_m): (f64, f64)| x_m * missing.0 + y_m * missing.1 > 0.0;
+    gap_m <= UNEVEN * median_m && leads_on(before) && leads_on(behind)
+}
