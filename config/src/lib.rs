@@ -10,6 +10,7 @@
 
 mod error;
 mod files;
+mod fits;
 mod grid;
 pub mod identified;
 pub mod launch;
@@ -26,6 +27,7 @@ mod resample;
 mod ros2;
 mod schema;
 mod start_at;
+mod stated;
 mod sweep;
 mod textbook;
 mod tuned;
@@ -45,6 +47,7 @@ pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};
 pub use schema::*;
 pub use start_at::StartAt;
+pub use stated::{Spread, StatedNoise, Uncertainty};
 pub use sweep::{SweepKind, SweepPlan};
 pub use textbook::TextbookSet;
 pub use tuned::{PastGains, Provenance, Replacement, TunedGains};

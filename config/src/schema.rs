@@ -681,6 +681,12 @@ pub struct Vehicle {
     pub gear_speed_mps: f64,
     pub safety: Safety,
     pub ros2: crate::Ros2,
+    /// The noise of its odometry; no preset states any.
+    #[serde(default, skip_serializing_if = "crate::StatedNoise::is_empty")]
+    pub noise: crate::StatedNoise,
+    /// How well its values are known; no preset states it.
+    #[serde(default, skip_serializing_if = "crate::Uncertainty::is_empty")]
+    pub uncertainty: crate::Uncertainty,
     /// Gains that were promoted to this vehicle, by manoeuvre; no preset has any.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub gains: BTreeMap<String, crate::TunedGains>,

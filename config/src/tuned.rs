@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::law::{self, NamedParameters};
+use crate::stated;
 use crate::validate::{Problem, within};
 
 /// The tuned parameters of a vehicle for one manoeuvre.
@@ -262,28 +263,28 @@ fn check_text(key: &str, name: &str, text: &str) -> Result<(), Problem> {
     Err((format!("{key}.{name}"), problem))
 }
 
-/// Whether `key` is that of promoted gains, in a document whose other keys are `known`. No preset has any gains, so
-/// they cannot be found there; the keys below are checked when they are parsed.
+/// Whether `key` is that of a table of a vehicle that no preset has, in a document whose other keys are `known`: promoted
+/// gains, or what the file states of noise and uncertainty. The keys below are checked when they are parsed.
 pub(crate) fn is_map(known: &Table, key: &str) -> bool {
-    match key {
-        "vehicle.gains" => known.contains_key("vehicle"),
+    let (name, holder) = match key.strip_prefix("vehicle.") {
+        Some(name) => (name, "vehicle"),
         // A vehicle's own file.
-        "gains" => known.contains_key("wheelbase_m"),
-        _ => false,
-    }
+        None => (key, "wheelbase_m"),
+    };
+    (name == "gains" || stated::TABLES.contains(&name)) && known.contains_key(holder)
 }
 
-/// Puts promoted gains on top of the present ones: those of a manoeuvre are replaced as a whole.
+/// Puts such a table on top of the present one: the gains of a manoeuvre are replaced as a whole, as is every other key.
 pub(crate) fn lay_on(values: &mut Table, key: &str, above: Value) {
-    let values = match key.split_once('.') {
-        Some((head, _)) => values.get_mut(head).and_then(Value::as_table_mut),
-        None => Some(values),
+    let (values, name) = match key.split_once('.') {
+        Some((head, name)) => (values.get_mut(head).and_then(Value::as_table_mut), name),
+        None => (Some(values), key),
     };
     let Some(values) = values else { return };
-    match (values.get_mut("gains"), above) {
+    match (values.get_mut(name), above) {
         (Some(Value::Table(below)), Value::Table(above)) => below.extend(above),
         (_, above) => {
-            values.insert("gains".to_owned(), above);
+            values.insert(name.to_owned(), above);
         }
     }
 }
