@@ -365,10 +365,11 @@ impl Layers {
         let file = parse_table(name, &text)?;
         let named = vehicles::base_of(name, &file)?;
         let base = named.and_then(|(_, preset)| preset.as_str());
-        let mut vehicle = vehicles::of_preset(base.unwrap_or(vehicles::DEFAULT)).map_err(|error| {
-            let key = named.map_or(vehicles::BASE, |(key, _)| key);
-            ConfigError::new(name, key, error.problem)
-        })?;
+        let mut vehicle =
+            vehicles::of_preset(base.unwrap_or(vehicles::DEFAULT)).map_err(|error| {
+                let key = named.map_or(vehicles::BASE, |(key, _)| key);
+                ConfigError::new(name, key, error.problem)
+            })?;
         // Known as keys, but they have done their work.
         for key in [vehicles::BASE, vehicles::EARLIER_BASE] {
             vehicle.insert(key.to_owned(), Value::String(vehicles::DEFAULT.to_owned()));

@@ -192,7 +192,9 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     if config.over.plants.is_empty() {
         let uncertainty = &config.vehicle.uncertainty;
         for change in uncertainty.plant_changes(&config.vehicle, config.run.seed).iter().flatten() {
-            let key = |(key, problem): Problem| (key.replace("vehicle.", "vehicle.uncertainty."), problem);
+            let key = |(key, problem): Problem| {
+                (key.replace("vehicle.", "vehicle.uncertainty."), problem)
+            };
             config.check_plant(change).map_err(key)?;
         }
     }

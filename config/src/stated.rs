@@ -240,7 +240,9 @@ mod tests {
         let text = toml::to_string(&config).unwrap();
         assert_eq!(RunConfig::from_resolved(&text).unwrap(), config);
         let mut again = Layers::maneuver("circuit").unwrap();
-        again.add_document("resolved.toml", &text.replace(&config.vehicle_preset, "f1tenth")).unwrap();
+        again
+            .add_document("resolved.toml", &text.replace(&config.vehicle_preset, "f1tenth"))
+            .unwrap();
         assert_eq!(again.resolve().unwrap().vehicle, config.vehicle);
     }
 
@@ -255,20 +257,27 @@ mod tests {
             (plants.iter().map(|it| it.wheelbase_m).collect::<Vec<_>>(), 0.3202, 0.3402),
             (plants.iter().map(|it| it.steering_delay_s).collect(), 0.0, 0.08),
         ] {
-            let (least, most) = of.iter().fold((1.0f64, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
+            let (least, most) =
+                of.iter().fold((1.0f64, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
             assert!(least >= low && least < low + 0.15 * (high - low), "{of:?}");
             assert!(most <= high && most > high - 0.15 * (high - low), "{of:?}");
         }
         // Every run's seed has its own; each run has the same ones again.
         let other = with_vehicle(STATED, &["over.by=mean", "run.seed=2"]).unwrap();
         assert_ne!(other.plant_changes(), config.plant_changes());
-        let found = with_vehicle(&format!("{STATED}identified = true\n"), &["over.by=mean"]).unwrap();
+        let found =
+            with_vehicle(&format!("{STATED}identified = true\n"), &["over.by=mean"]).unwrap();
         assert_eq!(found.plants(), 8);
         let few = with_vehicle(&format!("{STATED}plants = 4\n"), &["over.by=worst"]).unwrap();
         assert_eq!(few.plants(), 4);
         // A half-width beyond 0 of what cannot be negative ends at 0.
-        let wide = with_vehicle("[uncertainty]\nsteering_delay_s = 0.5\n", &["over.by=mean"]).unwrap();
-        assert!(wide.plant_changes().iter().all(|it| wide.with_plant(it).vehicle.steering_delay_s >= 0.0));
+        let wide =
+            with_vehicle("[uncertainty]\nsteering_delay_s = 0.5\n", &["over.by=mean"]).unwrap();
+        assert!(
+            wide.plant_changes()
+                .iter()
+                .all(|it| wide.with_plant(it).vehicle.steering_delay_s >= 0.0)
+        );
     }
 
     #[test]

@@ -19,6 +19,8 @@ pub(crate) type Problem = (String, String);
 /// Finds the first value that is out of range, as (dotted key, problem).
 pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     let c = config;
+    // First: whatever drives the vehicle, and the path, may be refused for what is wrong with it.
+    vehicle(c)?;
     above("reference.speed_mps", c.reference.speed_mps, 0.0, 50.0)?;
     within("reference.ramp_s", c.reference.ramp_s, 0.0, 60.0)?;
     if c.reference.advance == Advance::Projection {
@@ -51,8 +53,6 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     whole("robust.repeats", c.robust.repeats.into(), 2, 1000)?;
     whole("robust.fresh", c.robust.fresh.into(), 2, 1000)?;
     whole("robust.holdout", c.robust.holdout.into(), 1, 10_000)?;
-    // Before the path: a path may be refused for what is wrong with the vehicle.
-    vehicle(c)?;
     crate::fits::validate(c)?;
     path(c)?;
     presets(c)?;

@@ -178,8 +178,9 @@ mod tests {
 
     #[test]
     fn the_name_that_earlier_files_have_for_the_base_is_read() {
-        let earlier = with_vehicle("based_on = 'f1tenth'\nname = 'mine'").unwrap();
-        assert_eq!(earlier, with_vehicle("base = 'f1tenth'\nname = 'mine'").unwrap());
+        let of = |text: &str| with_vehicle(text).unwrap().0.vehicle;
+        let earlier = of("based_on = 'f1tenth'\nname = 'mine'");
+        assert_eq!(earlier, of("base = 'f1tenth'\nname = 'mine'"));
         let both = with_vehicle("base = 'carla'\nbased_on = 'f1tenth'").unwrap_err().to_string();
         assert!(both.contains("keep base only"), "{both}");
         let typo = with_vehicle("based_on = 'f1tent'").unwrap_err().to_string();
@@ -198,7 +199,10 @@ mod tests {
         check(&own("wheelbase_m = 0"), &["car.toml:2", "vehicle.wheelbase_m", "is 0"]);
         check(&own("wheelbase_m = -0.3"), &["car.toml:2", "vehicle.wheelbase_m", "-0.3"]);
         check(&own("wheelbase_m = nan"), &["car.toml:2", "vehicle.wheelbase_m", "NaN"]);
-        check(&own("tracked_point_m = 0.4"), &["car.toml:2", "tracked_point_m", "front axle", "0.33"]);
+        check(
+            &own("tracked_point_m = 0.4"),
+            &["car.toml:2", "tracked_point_m", "front axle", "0.33"],
+        );
         check(&own("body_front_m = 0.2"), &["car.toml:2", "body_front_m", "front axle", "0.33"]);
         let limit = own("steering_limit_rad = 24");
         check(&limit, &["car.toml:2", "steering_limit_rad", "radians", "24°", "0.419"]);
@@ -214,7 +218,9 @@ mod tests {
     fn noise_that_the_file_states_is_no_jump() {
         let noisy = "base = 'f1tenth'\n[noise]\nposition_sd_m = 0.1\n";
         let told = with_vehicle(noisy).unwrap_err().to_string();
-        for part in ["car.toml:3", "noise.position_sd_m", "0.1", "safety.jump_limit_m", "0.2", "0.57"] {
+        for part in
+            ["car.toml:3", "noise.position_sd_m", "0.1", "safety.jump_limit_m", "0.2", "0.57"]
+        {
             assert!(told.contains(part), "{told:?} lacks {part:?}");
         }
         let turning = "base = 'f1tenth'\n[noise]\nheading_half_width_rad = 0.2\n";
@@ -232,13 +238,16 @@ mod tests {
             let folder = tempfile::tempdir().unwrap();
             let file = folder.path().join("car.toml");
             std::fs::write(&file, text).unwrap();
-            let mut layers = Layers::maneuver("circuit").unwrap();
+            let mut layers = Layers::maneuver("lane_change").unwrap();
             layers.set_vehicle("--vehicle", file.to_str().unwrap()).unwrap();
             for set in sets {
                 layers.set(set).unwrap();
             }
             let config = layers.resolve()?;
-            Ok::<_, ConfigError>((config.controller.steering_limit_rad, config.supervisor.speed_limit_mps))
+            Ok::<_, ConfigError>((
+                config.controller.steering_limit_rad,
+                config.supervisor.speed_limit_mps,
+            ))
         };
         let car = "base = 'tesla_model_3'\nsteering_limit_rad = 0.9\nspeed_limit_mps = 12\n";
         assert_eq!(of(car, &[]).unwrap(), (0.9, 12.0));
@@ -249,7 +258,10 @@ mod tests {
         let told = of(car, &["controller.steering_limit_rad=30"]).unwrap_err().to_string();
         assert!(told.contains("radians") && told.contains("0.524"), "{told}");
         let told = of(car, &["reference.speed_mps=13"]).unwrap_err().to_string();
-        assert!(told.contains("reference.speed_mps") && told.contains("vehicle.speed_limit_mps"), "{told}");
+        assert!(
+            told.contains("reference.speed_mps") && told.contains("vehicle.speed_limit_mps"),
+            "{told}"
+        );
     }
 
     #[test]
