@@ -17,6 +17,7 @@ pub mod launch;
 mod law;
 mod layers;
 mod lengths;
+mod overlay;
 mod own_path;
 mod path_file;
 mod plants;
@@ -26,6 +27,7 @@ pub mod promote;
 mod resample;
 mod ros2;
 mod schema;
+pub mod slots;
 mod start_at;
 mod stated;
 mod sweep;
@@ -42,6 +44,7 @@ pub use law::{
     paper_law, preset as law_preset,
 };
 pub use layers::Layers;
+pub use overlay::{Found, find_key, nearest_keys, overlay};
 pub use plants::{Over, OverBy, PlantChange};
 pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};

@@ -9,6 +9,7 @@ use toml::{Spanned, Table, Value};
 use crate::points::MAX_POINTS;
 use crate::presets::OWN_PATH;
 use crate::resample::{Resampled, resample};
+use crate::slots;
 use crate::{ConfigError, Layers, StartAt, ZoneConfig, path_file};
 
 /// The size of the largest file that is read: enough for a million rows of many columns, but a wrong file is not read
@@ -101,6 +102,7 @@ impl Layers {
         if let Some(loop_time_s) = self.loop_time_s(&path) {
             self.put(&origin, "drive.loop_time_s", loop_time_s)?;
         }
+        self.put(&origin, "path.name", slots::name_of(file))?;
         self.add_zones(file, path.length_m)
     }
 

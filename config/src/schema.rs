@@ -336,6 +336,9 @@ pub struct PathConfig {
     /// Points through which the path runs, (x_m, y_m) in the map frame; the first one is at the start. A
     /// path is closed if its last point is its first.
     pub points: Vec<[f64; 2]>,
+    /// Name of a path from a file: that file's, without its ending; otherwise empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub name: String,
     /// The reference's speed at each point; empty if it is the same everywhere.
     pub speeds_mps: Vec<f64>,
     /// How many times a closed path is driven. Points, speeds and zones are those of one lap.

@@ -147,6 +147,9 @@ pub struct Provenance {
     pub run: String,
     /// The manoeuvre that was trained.
     pub maneuver: String,
+    /// Hash of the path, if it is one of the user's own; earlier versions did not note it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path_hash: Option<String>,
     /// Name of the vehicle in the training.
     pub vehicle: String,
     /// Seed of the training.
@@ -202,8 +205,8 @@ const MAX_TEXT: usize = 300;
 pub(crate) fn validate(gains: &BTreeMap<String, TunedGains>) -> Result<(), Problem> {
     for (maneuver, set) in gains {
         let key = format!("vehicle.gains.{maneuver}");
-        if maneuver.is_empty() || maneuver.len() > 40 || maneuver.chars().any(char::is_control) {
-            let problem = "must be below a name of 1 to 40 characters on one line".to_owned();
+        if !(1..=60).contains(&maneuver.chars().count()) || maneuver.chars().any(char::is_control) {
+            let problem = "must be below a name of 1 to 60 characters on one line".to_owned();
             return Err((key, problem));
         }
         check_set(&key, &set.law, &set.parameters, set.provenance.as_ref())?;
@@ -242,6 +245,7 @@ fn check_set(
     ] {
         check_text(&key, name, text)?;
     }
+    check_text(&key, "path_hash", it.path_hash.as_deref().unwrap_or_default())?;
     for (name, number) in [
         ("distance", Some(it.distance)),
         ("mse_m2", Some(it.mse_m2)),
