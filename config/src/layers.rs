@@ -243,6 +243,7 @@ impl Layers {
     /// At the first value that is out of range or does not fit the others.
     pub fn resolve(self) -> Result<RunConfig, ConfigError> {
         let Self { mut values, mut origins, base, borrowed, .. } = self;
+        let keys_borrowed = borrowed.as_ref().map(|it| it.keys.clone());
         take_stated_noise(&mut values, &mut origins);
         take_limits_of_vehicle(&mut values);
         let origin_of = |key: &str| {
@@ -269,8 +270,9 @@ impl Layers {
                 }
             }
         };
-        let config: RunConfig =
-            serde_path_to_error::deserialize(Value::Table(values)).map_err(|error| {
+        scale_to_the_car(&mut values, &origins);
+        let mut config: RunConfig = serde_path_to_error::deserialize(Value::Table(values))
+            .map_err(|error| {
                 let key = error.path().to_string();
                 ConfigError::new(origin_of(&key), key, error.inner().message().to_owned())
             })?;
@@ -279,6 +281,9 @@ impl Layers {
             let whose = borrowed.filter(|_| !is_set).and_then(|it| it.whose(&key));
             ConfigError::new(origin_of(&key), key, problem + &whose.unwrap_or_default())
         })?;
+        if let Some(borrowed) = keys_borrowed {
+            config.vehicle.borrowed = borrowed;
+        }
         Ok(config)
     }
 
@@ -482,6 +487,31 @@ impl Layers {
         self.origins.retain(|set, _| !set.starts_with(&part));
         self.origins.insert(key.to_owned(), origin);
         Ok(())
+    }
+}
+
+/// The wheelbase of the car for whose errors the settings of the learners are made.
+const FULL_SIZE_M: f64 = 2.875;
+
+/// Fits what is made for the errors of a full-size car to a car of another size, on a path of the user's own and where
+/// nobody has set it: the range of the learners' states, which is a length, and the weight of a squared angle beside
+/// squared lengths.
+fn scale_to_the_car(values: &mut Table, origins: &BTreeMap<String, String>) {
+    let is_own_path =
+        find(values, "maneuver").and_then(Value::as_str) == Some(crate::presets::OWN_PATH);
+    let Some(wheelbase_m) = find(values, "vehicle.wheelbase_m").and_then(number) else { return };
+    let ratio = wheelbase_m / FULL_SIZE_M;
+    if !is_own_path || ratio == 1.0 || !(ratio > 0.0 && ratio.is_finite()) {
+        return;
+    }
+    for (key, factor) in
+        [("learning.error_high_cross_m", ratio), ("learning.heading_weight", ratio * ratio)]
+    {
+        if let Some(place) = find_mut(values, key).filter(|_| !origins.contains_key(key))
+            && let Some(full_size) = number(place)
+        {
+            *place = Value::Float(full_size * factor);
+        }
     }
 }
 

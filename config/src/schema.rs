@@ -682,6 +682,9 @@ pub struct Vehicle {
     pub gear_reverse_s: f64,
     pub gear_poll_s: f64,
     pub gear_speed_mps: f64,
+    /// Keys that its file leaves out without naming another vehicle: their values are those of tesla_model_3.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub borrowed: Vec<String>,
     pub safety: Safety,
     pub ros2: crate::Ros2,
     /// The noise of its odometry; no preset states any.

@@ -207,8 +207,9 @@ pub(crate) fn validate(vehicle: &Vehicle) -> Result<(), Problem> {
     Ok(())
 }
 
-/// The tables of a vehicle's file that no preset has, so that their keys are checked when they are parsed.
-pub(crate) const TABLES: [&str; 2] = ["noise", "uncertainty"];
+/// What no preset of a vehicle has, so that it is checked when it is parsed: tables of its file, and the list of borrowed
+/// keys of a resolved configuration.
+pub(crate) const TABLES: [&str; 3] = ["noise", "uncertainty", "borrowed"];
 
 #[cfg(test)]
 mod tests {

@@ -142,6 +142,10 @@ mod tests {
     fn a_file_that_leaves_keys_out_is_told_whose_values_it_has() {
         let (config, borrowed) = with_vehicle("name = 'mine'\nwheelbase_m = 2.3\n").unwrap();
         assert_eq!((config.vehicle.wheelbase_m, config.vehicle.mass_kg), (2.3, 2035.0));
+        // The resolved configuration, which the report reads, has them as well.
+        assert!(config.vehicle.borrowed.contains(&"mass_kg".to_owned()));
+        let text = toml::to_string(&config).unwrap();
+        assert_eq!(RunConfig::from_resolved(&text).unwrap(), config);
         let borrowed = borrowed.unwrap();
         for part in
             ["car.toml", "tesla_model_3", "mass_kg", "safety.jump_limit_m", "steering_delay_s"]

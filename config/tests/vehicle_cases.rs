@@ -86,3 +86,16 @@ fn vehicle_steering_limit() {
     let wide = start(STRAIGHT, shuttle, &["controller.steering_limit_rad=1.2"]).unwrap();
     assert_eq!(wide.controller.steering_limit_rad, 0.9);
 }
+
+#[test]
+fn what_is_made_for_a_full_size_car_fits_a_small_one() {
+    let learning = |vehicle: &str, sets: &[&str]| start(STRAIGHT, vehicle, sets).unwrap().learning;
+    let full_size = learning("tesla_model_3", &[]);
+    assert_eq!((full_size.error_high_cross_m, full_size.heading_weight), (3.0, 10.0));
+    let small = learning("f1tenth", &[]);
+    let ratio = 0.3302 / 2.875;
+    assert_eq!(small.error_high_cross_m, 3.0 * ratio);
+    assert_eq!(small.heading_weight, 10.0 * (ratio * ratio));
+    let own = ["learning.error_high_cross_m=3.0", "learning.heading_weight=10.0"];
+    assert_eq!(learning("f1tenth", &own), full_size);
+}
