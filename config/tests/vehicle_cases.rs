@@ -82,7 +82,12 @@ fn vehicle_steering_limit() {
     assert_eq!(config.supervisor.speed_limit_mps, 3.0);
     // What the law may steer counts for the path, too.
     let less = ["controller.steering_limit_rad=0.5236"];
-    refused(&turn, shuttle, &less, &["turn of radius 2.", "3.46 m", "controller.steering_limit_rad"]);
+    refused(
+        &turn,
+        shuttle,
+        &less,
+        &["turn of radius 2.", "3.46 m", "controller.steering_limit_rad"],
+    );
     let wide = start(STRAIGHT, shuttle, &["controller.steering_limit_rad=1.2"]).unwrap();
     assert_eq!(wide.controller.steering_limit_rad, 0.9);
 }
