@@ -243,8 +243,19 @@ fn presets_are_shown_and_written() {
     assert!(shown.contains("[learning]") && shown.contains("wheelbase_m"));
     let one = String::from_utf8(sandbox.run(&["config", "show", "roundabout"]).stdout).unwrap();
     assert!(one.contains("radius_m = 18.0") && !one.contains("wheelbase_m"));
-    assert_eq!(sandbox.run(&["config", "show", "nothing"]).status.code(), Some(64));
+    let key = String::from_utf8(sandbox.run(&["config", "show", "goal_radius_m"]).stdout).unwrap();
+    assert!(key.contains("A drive ends early") && key.contains("goal_radius_m = 0.2"), "{key}");
+    let typo = sandbox.run(&["config", "show", "goal_radios_m"]);
+    assert_eq!(typo.status.code(), Some(64));
+    let told = String::from_utf8(typo.stderr).unwrap();
+    assert!(told.contains("did you mean drive.goal_radius_m"), "{told}");
     assert!(sandbox.run(&["config", "init", "mine"]).status.success());
     assert!(sandbox.path("mine/maneuvers/lane_change.toml").exists());
+    assert!(
+        sandbox.path("mine/overlay.toml").exists() && !sandbox.path("mine/readings.toml").exists()
+    );
+    let folder = sandbox.run(&["drive", "lane_change", "--config", "mine"]);
+    let told = String::from_utf8(folder.stderr).unwrap();
+    assert!(told.contains("is a folder") && told.contains("overlay.toml"), "{told}");
     assert_eq!(sandbox.run(&["config", "init", "mine"]).status.code(), Some(64));
 }

@@ -292,3 +292,82 @@ fn whoever_is_killed_leaves_the_old_file_or_the_new_one() {
     }
     assert!(!sandbox.path(".car.toml.part").exists());
 }
+
+/// Writes a closed path's file: the points of a curve with a parameter from 0 to 2π.
+fn closed_path(sandbox: &Sandbox, name: &str, at: impl Fn(f64) -> [f64; 2]) {
+    let rows = (0..=60).map(|step| {
+        let [x_m, y_m] = at(f64::from(step % 60) / 60.0 * std::f64::consts::TAU);
+        format!("{x_m:.4},{y_m:.4}\n")
+    });
+    fs::write(sandbox.path(name), format!("x_m,y_m\n{}", rows.collect::<String>())).unwrap();
+}
+
+/// An ellipse that a car of scale 1:10 can drive.
+fn oval(turn: f64) -> [f64; 2] {
+    [4.0 * libm::sin(turn), 2.0 - 2.0 * libm::cos(turn)]
+}
+
+/// An F1TENTH car, trained on a path by the objective `path`: what it chooses is about the best of the grid by the true
+/// distance from the path, and arrives.
+fn chosen_is_the_best_of_the_grid(at: impl Fn(f64) -> [f64; 2]) {
+    let sandbox = Sandbox::new();
+    closed_path(&sandbox, "track.csv", at);
+    let args = ["--path", "track.csv", "--vehicle", "f1tenth", "--objective", "path"];
+    let result = sandbox.train("first", &args);
+    let of = |value: &Value| value.as_f64().unwrap();
+    let (chosen_m, best_m) = (of(&result["path_mean_m"]), of(&result["grid"]["best_path_mean_m"]));
+    assert!(chosen_m <= 1.05 * best_m, "{chosen_m} m, and the best is {best_m} m");
+    assert_eq!(result["arrived"], true);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn tuned_gains_twice_as_far_off() {
+    chosen_is_the_best_of_the_grid(oval);
+}
+
+#[test]
+fn best_of_the_grid_never_arrives() {
+    chosen_is_the_best_of_the_grid(|turn| [4.0 * libm::sin(turn), 2.0 * libm::sin(2.0 * turn)]);
+}
+
+#[test]
+fn each_path_and_law_has_gains_of_its_own() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("car.toml"), "base = \"f1tenth\"\nname = \"mine\"\n").unwrap();
+    closed_path(&sandbox, "oval.csv", oval);
+    let short = ["--vehicle", "car.toml", "--episodes", "1", "--set", "ranking.max_ticks=1"];
+    let train = |name: &str, more: &[&str]| {
+        sandbox.train(name, &[&["--path", "oval.csv"], &short[..], more].concat())
+    };
+    let drive = |path: &str, more: &[&str]| {
+        let args = ["drive", "--path", path, "--vehicle", "car.toml", "--out", "driven"];
+        let _ = fs::remove_dir_all(sandbox.path("driven"));
+        let output = sandbox.run(&[&args, more].concat());
+        (output.status.code(), stderr(&output))
+    };
+    let paper = train("paper", &[]);
+    let said = gains(&sandbox, &["promote", "paper", "car.toml", "--force"]);
+    assert!(said.contains("oval promoted for the path oval ("), "{said}");
+    train("pursuit", &["--law", "pure_pursuit"]);
+    let said = gains(&sandbox, &["promote", "pursuit", "car.toml", "--force"]);
+    assert!(said.contains("oval/pure_pursuit promoted for the path oval ("), "{said}");
+
+    for (law, run) in [("paper", "paper"), ("pure_pursuit", "pursuit")] {
+        let (code, said) = drive("oval.csv", &["--law", law]);
+        assert_eq!(code, Some(0), "{said}");
+        assert!(said.contains(&format!("from car.toml (run {run}, digest")), "{said}");
+    }
+    // The same path in a file of another name, and another path in a file of the same name.
+    fs::rename(sandbox.path("oval.csv"), sandbox.path("ring.csv")).unwrap();
+    let (code, said) = drive("ring.csv", &[]);
+    assert!(code == Some(0) && said.contains("from car.toml (run paper"), "{said}");
+    assert_eq!(sandbox.result("driven")["gains"][0], paper["gains"]);
+    closed_path(&sandbox, "oval.csv", |turn| oval(turn).map(|place| 1.1 * place));
+    let (code, said) = drive("oval.csv", &[]);
+    assert_eq!(code, Some(64), "{said}");
+    for part in ["car.toml", "gains.oval", "another path", "--gains"] {
+        assert!(said.contains(part), "{said:?} lacks {part:?}");
+    }
+    sandbox.assert_clean();
+}

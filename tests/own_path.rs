@@ -149,7 +149,7 @@ fn a_vehicle_of_one_s_own_and_the_dynamic_one() {
 #[test]
 fn a_car_that_obeys_late_is_tuned_as_it_is() {
     let sandbox = Sandbox::new();
-    let guarded = "based_on = 'tesla_model_3_guarded'\nname = 'mine'\ngear_engaged = true\n";
+    let guarded = "base = 'tesla_model_3_guarded'\nname = 'mine'\ngear_engaged = true\n";
     let late = "steering_delay_s = 0.15\nsteering_lag_s = 0.1\nspeed_delay_s = 0.15\n";
     fs::write(sandbox.path("prompt.toml"), guarded).unwrap();
     fs::write(sandbox.path("late.toml"), format!("{guarded}{late}")).unwrap();
@@ -180,10 +180,10 @@ fn a_vehicle_s_file_that_leaves_keys_out_is_told_whose_values_it_has() {
         stderr.lines().find(|line| line.contains("another car")).map(str::to_owned)
     };
     let line = told("name = 'mine'\nwheelbase_m = 2.5\n").unwrap();
-    for part in ["car.toml", "tesla_model_3", "speed_kp", "steering_delay_s", "based_on ="] {
+    for part in ["car.toml", "tesla_model_3", "speed_kp", "steering_delay_s", "base ="] {
         assert!(line.contains(part), "{line:?} lacks {part:?}");
     }
-    assert_eq!(told("based_on = 'carla'\nname = 'mine'\nwheelbase_m = 2.5\n"), None);
+    assert_eq!(told("base = 'carla'\nname = 'mine'\nwheelbase_m = 2.5\n"), None);
     sandbox.assert_clean();
 }
 

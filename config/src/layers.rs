@@ -19,8 +19,8 @@ pub struct Layers {
     base: String,
     /// The manoeuvre's own grids, by the name of the law.
     grids: Table,
-    /// What the user has to know of values that the vehicle's file has from another car.
-    borrowed: Option<String>,
+    /// The values that the vehicle's file has from another car.
+    borrowed: Option<vehicles::Borrowed>,
     /// How the path's file was read: what the user may not expect.
     notes: Vec<String>,
 }
@@ -251,7 +251,10 @@ impl Layers {
     /// # Errors
     /// At the first value that is out of range or does not fit the others.
     pub fn resolve(self) -> Result<RunConfig, ConfigError> {
-        let Self { values, origins, base, .. } = self;
+        let Self { mut values, mut origins, base, borrowed, .. } = self;
+        let keys_borrowed = borrowed.as_ref().map(|it| it.keys.clone());
+        take_stated_noise(&mut values, &mut origins);
+        take_limits_of_vehicle(&mut values);
         let origin_of = |key: &str| {
             // The origin of the key itself, or of a part of it, or of a key that contains it.
             if key.starts_with("vehicle.gains") {
@@ -276,13 +279,20 @@ impl Layers {
                 }
             }
         };
-        let config: RunConfig =
-            serde_path_to_error::deserialize(Value::Table(values)).map_err(|error| {
+        scale_to_the_car(&mut values, &origins);
+        let mut config: RunConfig = serde_path_to_error::deserialize(Value::Table(values))
+            .map_err(|error| {
                 let key = error.path().to_string();
                 ConfigError::new(origin_of(&key), key, error.inner().message().to_owned())
             })?;
-        validate::validate(&config)
-            .map_err(|(key, problem)| ConfigError::new(origin_of(&key), key, problem))?;
+        validate::validate(&config).map_err(|(key, problem)| {
+            let is_set = origins.contains_key(&key);
+            let whose = borrowed.filter(|_| !is_set).and_then(|it| it.whose(&key));
+            ConfigError::new(origin_of(&key), key, problem + &whose.unwrap_or_default())
+        })?;
+        if let Some(borrowed) = keys_borrowed {
+            config.vehicle.borrowed = borrowed;
+        }
         Ok(config)
     }
 
@@ -297,8 +307,8 @@ impl Layers {
     }
 
     /// What the user has to know of values that the vehicle's file does not name and has from another car.
-    pub fn borrowed(&self) -> Option<&str> {
-        self.borrowed.as_deref()
+    pub fn borrowed(&self) -> Option<String> {
+        self.borrowed.as_ref().map(vehicles::Borrowed::told)
     }
 
     /// How the path's file was read, a line each: what the user may not expect.
@@ -377,22 +387,30 @@ impl Layers {
         if names_in("vehicles").any(|known| known == name) {
             let vehicle = vehicles::of_preset(name)?;
             self.values.insert("vehicle".to_owned(), Value::Table(vehicle));
+            self.forget_origins("vehicle");
             return Ok(());
         }
         let text = read_part(Part::Vehicle, name, origin)?;
         let file = parse_table(name, &text)?;
-        let base = file.get(vehicles::BASED_ON).and_then(Value::as_str);
-        let mut vehicle = vehicles::of_preset(base.unwrap_or(vehicles::DEFAULT))
-            .map_err(|error| ConfigError::new(name, vehicles::BASED_ON, error.problem))?;
-        // Known as a key, but it has done its work.
-        vehicle.insert(vehicles::BASED_ON.to_owned(), Value::String(vehicles::DEFAULT.to_owned()));
+        let named = vehicles::base_of(name, &file)?;
+        let base = named.and_then(|(_, preset)| preset.as_str());
+        let mut vehicle =
+            vehicles::of_preset(base.unwrap_or(vehicles::DEFAULT)).map_err(|error| {
+                let key = named.map_or(vehicles::BASE, |(key, _)| key);
+                ConfigError::new(name, key, error.problem)
+            })?;
+        // Known as keys, but they have done their work.
+        for key in [vehicles::BASE, vehicles::EARLIER_BASE] {
+            vehicle.insert(key.to_owned(), Value::String(vehicles::DEFAULT.to_owned()));
+        }
         self.load_file(Part::Vehicle, vehicle, name, &text)?;
         if let Some(Value::Table(vehicle)) = self.values.get_mut("vehicle") {
-            vehicle.remove(vehicles::BASED_ON);
+            vehicle.remove(vehicles::BASE);
+            vehicle.remove(vehicles::EARLIER_BASE);
         }
         let left_out = vehicles::left_out(&file);
         if base.is_none() && !left_out.is_empty() {
-            self.borrowed = Some(vehicles::borrowed(name, &left_out));
+            self.borrowed = Some(vehicles::Borrowed { file: name.to_owned(), keys: left_out });
         }
         Ok(())
     }
@@ -467,6 +485,8 @@ impl Layers {
         for (below, origin) in below.origins {
             self.origins.insert(format!("{key}.{below}"), origin);
         }
+        // Of the keys that the file leaves out, too.
+        self.origins.insert(key.to_owned(), name.to_owned());
         Ok(())
     }
 
@@ -495,6 +515,68 @@ impl Layers {
     }
 }
 
+/// The wheelbase of the car for whose errors the settings of the learners are made.
+const FULL_SIZE_M: f64 = 2.875;
+
+/// Fits what is made for the errors of a full-size car to a car of another size, on a path of the user's own and where
+/// nobody has set it: the range of the learners' states, which is a length, and the weight of a squared angle beside
+/// squared lengths.
+fn scale_to_the_car(values: &mut Table, origins: &BTreeMap<String, String>) {
+    let is_own_path =
+        find(values, "maneuver").and_then(Value::as_str) == Some(crate::presets::OWN_PATH);
+    let Some(wheelbase_m) = find(values, "vehicle.wheelbase_m").and_then(number) else { return };
+    let ratio = wheelbase_m / FULL_SIZE_M;
+    if !is_own_path || ratio == 1.0 || !(ratio > 0.0 && ratio.is_finite()) {
+        return;
+    }
+    for (key, factor) in
+        [("learning.error_high_cross_m", ratio), ("learning.heading_weight", ratio * ratio)]
+    {
+        if let Some(place) = find_mut(values, key).filter(|_| !origins.contains_key(key))
+            && let Some(full_size) = number(place)
+        {
+            *place = Value::Float(full_size * factor);
+        }
+    }
+}
+
+/// The limits of what commands a vehicle: none is above the vehicle's own. A value that is out of its range stays, so that
+/// it is refused.
+fn take_limits_of_vehicle(values: &mut Table) {
+    for (key, of_vehicle) in [
+        ("controller.steering_limit_rad", "vehicle.steering_limit_rad"),
+        ("supervisor.speed_limit_mps", "vehicle.speed_limit_mps"),
+    ] {
+        let highest = if key.ends_with("_rad") { 1.5 } else { 100.0 };
+        let limit = find(values, of_vehicle).and_then(number);
+        let (Some(limit), Some(place)) = (limit, find_mut(values, key)) else { continue };
+        let is_beyond = number(place).is_some_and(|own| own > limit && own <= highest);
+        if place.as_str() == Some(Limit::AUTO) || is_beyond {
+            *place = Value::Float(limit);
+        }
+    }
+}
+
+/// A number, whether it is written with a decimal point or not.
+fn number(value: &Value) -> Option<f64> {
+    value.as_float().or(value.as_integer().map(|whole| whole as f64))
+}
+
+/// Puts the noise that the vehicle's file states into a drive's, where the user has not set another.
+fn take_stated_noise(values: &mut Table, origins: &mut BTreeMap<String, String>) {
+    for key in ["position_sd_m", "heading_half_width_rad"] {
+        let of_run = format!("noise.{key}");
+        let of_vehicle = format!("vehicle.{of_run}");
+        let Some(stated) = find(values, &of_vehicle).cloned() else { continue };
+        if let Some(place) = find_mut(values, &of_run).filter(|_| !origins.contains_key(&of_run)) {
+            *place = stated;
+            if let Some(origin) = origins.get(&of_vehicle).cloned() {
+                origins.insert(of_run, origin);
+            }
+        }
+    }
+}
+
 pub(crate) fn parse_table(origin: &str, text: &str) -> Result<Table, ConfigError> {
     text.parse::<Table>().map_err(|error| {
         let line = error.span().map_or(1, |span| line_of(text, span.start));
@@ -507,8 +589,11 @@ fn read_part(part: Part, name: &str, origin: &str) -> Result<String, ConfigError
         let (folder, what) = part.place();
         let known: Vec<&str> = names_in(folder).collect();
         let known = known.join(", ");
-        let problem =
-            format!("{name:?} is neither a {what} preset nor a file: {error}; presets are {known}");
+        let advice = match nearest(name, names_in(folder)) {
+            Some(near) => format!("did you mean {near}? Presets are {known}"),
+            None => format!("presets are {known}"),
+        };
+        let problem = format!("{name:?} is neither a {what} preset nor a file: {error}; {advice}");
         ConfigError::new(origin, part.selected_by(), problem)
     })
 }

@@ -10,6 +10,7 @@ use crate::made_path::{Below, make};
 use crate::path_file::{PathFile, RecordedPath};
 use crate::presets::OWN_PATH;
 use crate::resample::Resampled;
+use crate::slots;
 use crate::{ConfigError, Layers, PathOptions, StartAt, ZoneConfig, path_file};
 
 /// The size of the largest file that is read: enough for a million rows of many columns, but a wrong file is not read
@@ -150,6 +151,7 @@ impl Layers {
             }
             self.put(&origin, "drive.loop_time_s", loop_time_s)?;
         }
+        self.put(&origin, "path.name", slots::name_of(file))?;
         self.add_zones(file, path.length_m)
     }
 

@@ -128,12 +128,16 @@ impl Layers {
 }
 
 impl RunConfig {
-    /// How plants differ from the vehicle that this car may be: those that the configuration names, or eight around the
-    /// estimate. These are errors of a model, not draws of measured uncertainty: dead times and lag that are longer,
+    /// How plants differ from the vehicle that this car may be: those that the configuration names, those within the
+    /// intervals that a user states in the vehicle's file, or eight around the estimate. These are errors of a model, not draws of measured uncertainty: dead times and lag that are longer,
     /// steering that turns more slowly, understeer, and an offset to both sides.
     pub fn plant_changes(&self) -> Vec<PlantChange> {
         if !self.over.plants.is_empty() {
             return self.over.plants.clone();
+        }
+        let uncertainty = &self.vehicle.uncertainty;
+        if let Some(stated) = uncertainty.plant_changes(&self.vehicle, self.run.seed) {
+            return stated;
         }
         // At the reference's speed, a gradient of understeer acts like a longer wheelbase.
         let longer_m = MORE_UNDERSTEER_S2PM * self.reference.speed_mps * self.reference.speed_mps;
@@ -184,6 +188,15 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     for (index, change) in config.over.plants.iter().enumerate() {
         let at = |(key, problem)| (format!("over.plants[{index}].{key}"), problem);
         config.check_plant(change).map_err(at)?;
+    }
+    if config.over.plants.is_empty() {
+        let uncertainty = &config.vehicle.uncertainty;
+        for change in uncertainty.plant_changes(&config.vehicle, config.run.seed).iter().flatten() {
+            let key = |(key, problem): Problem| {
+                (key.replace("vehicle.", "vehicle.uncertainty."), problem)
+            };
+            config.check_plant(change).map_err(key)?;
+        }
     }
     if config.over.by != OverBy::Nominal && config.noise.enabled {
         let problem = "is not \"nominal\", but with noise a set is not driven over plants; leave out --noise or --over";

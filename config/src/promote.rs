@@ -312,6 +312,7 @@ mod tests {
             promoted_at: "2025-01-02T03:04:05Z".to_owned(),
             run: "mine \"quoted\"".to_owned(),
             maneuver: "lane_change".to_owned(),
+            path_hash: None,
             vehicle: "tesla_model_3".to_owned(),
             seed: i64::MAX as u64,
             alphas: vec![0.1, 0.5],

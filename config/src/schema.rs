@@ -339,6 +339,9 @@ pub struct PathConfig {
     /// Points through which the path runs, (x_m, y_m) in the map frame; the first one is at the start. A
     /// path is closed if its last point is its first.
     pub points: Vec<[f64; 2]>,
+    /// Name of a path from a file: that file's, without its ending; otherwise empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub name: String,
     /// The reference's speed at each point; empty if it is the same everywhere.
     pub speeds_mps: Vec<f64>,
     /// From each point to the road's edges, on the left and on the right; empty if they are not known.
@@ -685,8 +688,17 @@ pub struct Vehicle {
     pub gear_reverse_s: f64,
     pub gear_poll_s: f64,
     pub gear_speed_mps: f64,
+    /// Keys that its file leaves out without naming another vehicle: their values are those of tesla_model_3.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub borrowed: Vec<String>,
     pub safety: Safety,
     pub ros2: crate::Ros2,
+    /// The noise of its odometry; no preset states any.
+    #[serde(default, skip_serializing_if = "crate::StatedNoise::is_empty")]
+    pub noise: crate::StatedNoise,
+    /// How well its values are known; no preset states it.
+    #[serde(default, skip_serializing_if = "crate::Uncertainty::is_empty")]
+    pub uncertainty: crate::Uncertainty,
     /// Gains that were promoted to this vehicle, by manoeuvre; no preset has any.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub gains: BTreeMap<String, crate::TunedGains>,

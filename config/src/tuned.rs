@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::law::{self, NamedParameters};
+use crate::stated;
 use crate::validate::{Problem, within};
 
 /// The tuned parameters of a vehicle for one manoeuvre.
@@ -146,6 +147,9 @@ pub struct Provenance {
     pub run: String,
     /// The manoeuvre that was trained.
     pub maneuver: String,
+    /// Hash of the path, if it is one of the user's own; earlier versions did not note it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path_hash: Option<String>,
     /// Name of the vehicle in the training.
     pub vehicle: String,
     /// Seed of the training.
@@ -201,8 +205,8 @@ const MAX_TEXT: usize = 300;
 pub(crate) fn validate(gains: &BTreeMap<String, TunedGains>) -> Result<(), Problem> {
     for (maneuver, set) in gains {
         let key = format!("vehicle.gains.{maneuver}");
-        if maneuver.is_empty() || maneuver.len() > 40 || maneuver.chars().any(char::is_control) {
-            let problem = "must be below a name of 1 to 40 characters on one line".to_owned();
+        if !(1..=60).contains(&maneuver.chars().count()) || maneuver.chars().any(char::is_control) {
+            let problem = "must be below a name of 1 to 60 characters on one line".to_owned();
             return Err((key, problem));
         }
         check_set(&key, &set.law, &set.parameters, set.provenance.as_ref())?;
@@ -241,6 +245,7 @@ fn check_set(
     ] {
         check_text(&key, name, text)?;
     }
+    check_text(&key, "path_hash", it.path_hash.as_deref().unwrap_or_default())?;
     for (name, number) in [
         ("distance", Some(it.distance)),
         ("mse_m2", Some(it.mse_m2)),
@@ -262,28 +267,28 @@ fn check_text(key: &str, name: &str, text: &str) -> Result<(), Problem> {
     Err((format!("{key}.{name}"), problem))
 }
 
-/// Whether `key` is that of promoted gains, in a document whose other keys are `known`. No preset has any gains, so
-/// they cannot be found there; the keys below are checked when they are parsed.
+/// Whether `key` is that of a table of a vehicle that no preset has, in a document whose other keys are `known`: promoted
+/// gains, or what the file states of noise and uncertainty. The keys below are checked when they are parsed.
 pub(crate) fn is_map(known: &Table, key: &str) -> bool {
-    match key {
-        "vehicle.gains" => known.contains_key("vehicle"),
+    let (name, holder) = match key.strip_prefix("vehicle.") {
+        Some(name) => (name, "vehicle"),
         // A vehicle's own file.
-        "gains" => known.contains_key("wheelbase_m"),
-        _ => false,
-    }
+        None => (key, "wheelbase_m"),
+    };
+    (name == "gains" || stated::TABLES.contains(&name)) && known.contains_key(holder)
 }
 
-/// Puts promoted gains on top of the present ones: those of a manoeuvre are replaced as a whole.
+/// Puts such a table on top of the present one: the gains of a manoeuvre are replaced as a whole, as is every other key.
 pub(crate) fn lay_on(values: &mut Table, key: &str, above: Value) {
-    let values = match key.split_once('.') {
-        Some((head, _)) => values.get_mut(head).and_then(Value::as_table_mut),
-        None => Some(values),
+    let (values, name) = match key.split_once('.') {
+        Some((head, name)) => (values.get_mut(head).and_then(Value::as_table_mut), name),
+        None => (Some(values), key),
     };
     let Some(values) = values else { return };
-    match (values.get_mut("gains"), above) {
+    match (values.get_mut(name), above) {
         (Some(Value::Table(below)), Value::Table(above)) => below.extend(above),
         (_, above) => {
-            values.insert("gains".to_owned(), above);
+            values.insert(name.to_owned(), above);
         }
     }
 }

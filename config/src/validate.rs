@@ -19,6 +19,8 @@ pub(crate) type Problem = (String, String);
 /// Finds the first value that is out of range, as (dotted key, problem).
 pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     let c = config;
+    // First: whatever drives the vehicle, and the path, may be refused for what is wrong with it.
+    vehicle(c)?;
     if let Some(envelope) = &c.envelope {
         envelope.check().map_err(|why| ("envelope".to_owned(), why))?;
     }
@@ -37,7 +39,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     within("drive.goal_radius_m", c.drive.goal_radius_m, 0.0, 100.0)?;
     let fastest_mps = c.vehicle.speed_limit_mps.min(c.supervisor.speed_limit_mps).min(50.0);
     within("drive.start_speed_mps", c.drive.start_speed_mps, 0.0, fastest_mps)?;
-    above("controller.steering_limit_rad", c.controller.steering_limit_rad, 0.0, 1.5)?;
+    angle("controller.steering_limit_rad", c.controller.steering_limit_rad, 1.5)?;
     above("supervisor.speed_limit_mps", c.supervisor.speed_limit_mps, 0.0, 100.0)?;
     within("supervisor.speed_margin_mps", c.supervisor.speed_margin_mps, 0.0, 100.0)?;
     within("supervisor.speed_foresight_s", c.supervisor.speed_foresight_s, 0.0, 10.0)?;
@@ -54,13 +56,13 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     whole("robust.repeats", c.robust.repeats.into(), 2, 1000)?;
     whole("robust.fresh", c.robust.fresh.into(), 2, 1000)?;
     whole("robust.holdout", c.robust.holdout.into(), 1, 10_000)?;
+    crate::fits::validate(c)?;
     path(c)?;
     presets(c)?;
     grid(c)?;
     scales(c)?;
     learning(c)?;
     run(c)?;
-    vehicle(c)?;
     crate::plants::validate(c)
 }
 
@@ -107,7 +109,16 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
     // A reference that the vehicle pushes ahead of itself has no speed of its own.
     let by_time = config.reference.advance == Advance::Time;
     let reference_mps = if by_time { config.reference.speed_mps } else { 0.0 };
-    points::validate(path, &config.vehicle, &config.supervisor, reference_mps)?;
+    let limit_rad = config.controller.steering_limit_rad;
+    if limit_rad < config.vehicle.steering_limit_rad {
+        // The law turns the wheels no farther than this.
+        let limited = Vehicle { steering_limit_rad: limit_rad, ..config.vehicle.clone() };
+        points::validate(path, &limited, &config.supervisor, reference_mps).map_err(|(key, problem)| {
+            (key, problem.replace("vehicle.steering_limit_rad", "controller.steering_limit_rad"))
+        })?;
+    } else {
+        points::validate(path, &config.vehicle, &config.supervisor, reference_mps)?;
+    }
     for (index, piece) in path.pieces.iter().enumerate() {
         let key = |field: &str| format!("path.pieces[{index}].{field}");
         match *piece {
@@ -359,14 +370,15 @@ pub(crate) fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     safety(config)?;
     crate::ros2::validate(&config.vehicle.ros2)?;
     crate::tuned::validate(&config.vehicle.gains)?;
+    crate::stated::validate(&config.vehicle)?;
     let v = &config.vehicle;
     within("vehicle.wheelbase_m", v.wheelbase_m, 0.01, 20.0)?;
     within("vehicle.tracked_point_m", v.tracked_point_m, -20.0, 20.0)?;
     above("vehicle.body_front_m", v.body_front_m, 0.0, 20.0)?;
     above("vehicle.body_rear_m", v.body_rear_m, 0.0, 20.0)?;
     above("vehicle.body_half_width_m", v.body_half_width_m, 0.0, 20.0)?;
-    above("vehicle.steering_limit_rad", v.steering_limit_rad, 0.0, 1.5)?;
-    above("vehicle.steering_rate_radps", v.steering_rate_radps, 0.0, 100.0)?;
+    angle("vehicle.steering_limit_rad", v.steering_limit_rad, 1.5)?;
+    angle("vehicle.steering_rate_radps", v.steering_rate_radps, 100.0)?;
     within("vehicle.steering_delay_s", v.steering_delay_s, 0.0, 1.0)?;
     within("vehicle.steering_gain", v.steering_gain, 0.1, 10.0)?;
     within("vehicle.steering_offset_rad", v.steering_offset_rad, -0.5, 0.5)?;
@@ -432,6 +444,15 @@ pub(crate) fn above(key: &str, value: f64, low: f64, high: f64) -> Result<(), Pr
         return Ok(());
     }
     Err((key.to_owned(), format!("is {value}, but must lie in ({low}, {high}]")))
+}
+
+/// An angle, or its rate, above 0; one that is too large may be in degrees.
+fn angle(key: &str, value: f64, high: f64) -> Result<(), Problem> {
+    above(key, value, 0.0, high).map_err(|(key, problem)| {
+        let in_degrees = value > high && value.is_finite();
+        let hint = format!("; it is in radians: {value}° are {:.3}", value.to_radians());
+        (key, if in_degrees { problem + &hint } else { problem })
+    })
 }
 
 fn whole(key: &str, value: u64, low: u64, high: u64) -> Result<(), Problem> {

@@ -650,12 +650,13 @@ pub struct SchemaArgs {
 pub enum ConfigCommand {
     /// List the manoeuvres, vehicles, laws, tuners and objectives
     List,
-    /// Print the presets, each key with its description
+    /// Print the presets, each key with its description, or one key wherever it is set
     Show {
-        /// Print only the presets whose path contains this word, as in laws or lane_change
+        /// Print only the presets whose path contains this word, as in laws or lane_change; or a key, as in goal_radius_m
         name: Option<String>,
     },
-    /// Write the presets into a folder, where you can edit them
+    /// Write into a folder what you can edit: overlay.toml for --config, which changes nothing until a key is uncommented, and
+    /// the presets
     Init {
         /// The folder; created if it does not exist
         #[arg(default_value = "pathtune-config")]

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use config::slots::{self, Held};
 use config::{
     Envelope, MadeFor, Parameters, RunConfig, SweepKind, SweepPlan, TunedGains, read_small,
 };
@@ -90,11 +91,31 @@ pub(crate) fn choose(
 
 /// The parameters that were promoted to the vehicle: for each manoeuvre that is due, or for the path as a whole.
 fn promoted(config: &RunConfig) -> Result<Option<(Vec<Parameters>, String)>, Failure> {
-    let of = |maneuver: &str| config.vehicle.gains.get_key_value(maneuver);
+    let of = |name: &str| slots::held(&config.vehicle.gains, name, &config.law.name);
     let due = config.maneuvers_due();
-    let whole = || Some(vec![of(&config.maneuver)?]);
-    let sets: Option<Vec<(&String, &TunedGains)>> = due.iter().map(|name| of(name)).collect();
-    let Some(sets) = sets.or_else(whole) else { return Ok(None) };
+    let sets: Option<Vec<(&String, &TunedGains)>> = match config.gains_name() == config.path.name {
+        // The path has no manoeuvres of its own.
+        true => None,
+        false => due.iter().map(|name| of(name)).collect(),
+    };
+    let mut unknown = "";
+    let sets = match (sets, config.gains_of_path()) {
+        (Some(sets), _) => sets,
+        (None, Some(Held::Own(name, set))) => vec![(name, set)],
+        (None, Some(Held::Unknown(name, set))) => {
+            unknown = ", which does not say for which path they are";
+            vec![(name, set)]
+        }
+        (None, Some(Held::Others(name, _))) => {
+            return Err(Failure::User(format!(
+                "{}: gains.{name} are for another path, whose file has the same name; train on this one, or give parameters \
+                 with --gains {}",
+                config.vehicle_preset,
+                list(config)
+            )));
+        }
+        (None, None) => return Ok(None),
+    };
     let origins: Vec<String> = sets
         .iter()
         .map(|(_, set)| match &set.provenance {
@@ -102,7 +123,7 @@ fn promoted(config: &RunConfig) -> Result<Option<(Vec<Parameters>, String)>, Fai
             None => "by hand".to_owned(),
         })
         .collect();
-    let origin = format!("{} ({})", config.vehicle_preset, origins.join("; "));
+    let origin = format!("{} ({}){unknown}", config.vehicle_preset, origins.join("; "));
     let parameters = sets.into_iter().map(|(maneuver, set)| {
         let what = format!("{}: gains.{maneuver}", config.vehicle_preset);
         check_law(&what, &set.law, config)?;
@@ -133,8 +154,12 @@ fn missing(config: &RunConfig) -> String {
     if held.is_empty() {
         return String::new();
     }
-    let names: Vec<&str> =
-        config.maneuvers_due().into_iter().filter(|name| !held.contains_key(*name)).collect();
+    let whole = config.gains_name();
+    let due = match whole == config.path.name {
+        true => vec![&*whole],
+        false => config.maneuvers_due(),
+    };
+    let names: Vec<&str> = due.into_iter().filter(|name| !held.contains_key(*name)).collect();
     format!(", as {} has none for {}", config.vehicle_preset, names.join(", "))
 }
 

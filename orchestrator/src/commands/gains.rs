@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use config::promote::{self, changes, geometry_difference, large_changes, rollback_place};
+use config::slots;
 use config::{
     LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset, read_small,
 };
@@ -185,7 +186,8 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
     // A second promotion at the same time waits for this one, so that neither is lost.
     let target = VehicleFile::lock(file)?;
     let vehicle = resolve(file)?;
-    let Trained { maneuver, law, parameters, provenance, .. } = &trained;
+    let Trained { law, parameters, provenance, .. } = &trained;
+    let maneuver = &slots::place(&vehicle.gains, &trained.maneuver, law);
     if let Some((key, then, now)) = geometry_difference(&trained.vehicle, &vehicle)
         && !force
     {
@@ -205,15 +207,16 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
         say!("{}: {maneuver} has these gains already", file.display());
         return Ok(());
     }
-    if let Some(old) = old
-        && old.law != *law
+    let path_of = |it: &Provenance| it.path_hash.clone();
+    if let Some((then, now)) =
+        old.and_then(|old| path_of(old.provenance.as_ref()?)).zip(path_of(provenance))
+        && then != now
         && !force
     {
         return Err(Failure::User(format!(
-            "{}: gains.{maneuver}: are parameters of the law {}, but the training was of the law {law}; train again with \
-             --law {1}, or insist with --force",
-            file.display(),
-            old.law
+            "{}: gains.{maneuver}: are for another path, whose file has the same name; give one of the files another name \
+             and train again, or insist with --force",
+            file.display()
         )));
     }
     if let Some(old) = old
@@ -253,9 +256,12 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
             "pathtune: warning: on a bound of the training's grid: {bounds}; better gains may lie beyond it"
         );
     }
-    let what = if dry_run { "would be promoted" } else { "promoted" };
+    let mut what = if dry_run { "would be promoted" } else { "promoted" }.to_owned();
+    if let Some(hash) = &provenance.path_hash {
+        what += &format!(" for the path {} ({hash:.8})", trained.maneuver);
+    }
     let old = old.map(|old| (&*old.law, &old.parameters));
-    say_changes(file, maneuver, what, old, (law, parameters))
+    say_changes(file, maneuver, &what, old, (law, parameters))
 }
 
 fn rollback(file: &Path, maneuver: Option<&str>, to: Option<usize>) -> Result<(), Failure> {
@@ -369,6 +375,7 @@ impl Trained {
             // A folder's name may be anything.
             run: name.chars().filter(|c| !c.is_control()).take(64).collect(),
             maneuver: config.maneuver.clone(),
+            path_hash: config.is_own_path().then(|| config.path_hash()),
             vehicle: config.vehicle.name.clone(),
             seed: config.run.seed,
             tuner: Some(training.tuner.clone()),
@@ -387,11 +394,7 @@ impl Trained {
             mean_high: chosen.map(|chosen| chosen.high),
             pathtune: env!("CARGO_PKG_VERSION").to_owned(),
         };
-        let maneuver = match config.maneuvers_due()[..] {
-            [one] => one.to_owned(),
-            // One set for the whole path.
-            _ => config.maneuver.clone(),
-        };
+        let maneuver = config.gains_name();
         Ok(Self {
             maneuver,
             law: config.law.name,

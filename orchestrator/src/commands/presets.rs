@@ -1,6 +1,7 @@
 //! `pathtune config` and `pathtune schema`: print or write what is embedded in the binary.
 
 use std::fs;
+use std::path::PathBuf;
 
 use toml::{Table, Value};
 
@@ -35,37 +36,58 @@ pub(crate) fn show_config(command: &ConfigCommand) -> Result<(), Failure> {
             let shown: Vec<_> =
                 config::presets().iter().filter(|preset| preset.path.contains(word)).collect();
             if shown.is_empty() {
-                let paths: Vec<_> = config::presets().iter().map(|preset| preset.path).collect();
-                return Err(Failure::User(format!(
-                    "no preset's path contains {word:?}; there are {}",
-                    paths.join(", ")
-                )));
+                return show_key(word);
             }
             for preset in shown {
                 say!("#### {}\n{}", preset.path, preset.text);
             }
         }
         ConfigCommand::Init { folder } => {
-            for preset in config::presets() {
-                let path = folder.join(preset.path);
-                if path.exists() {
-                    return Err(Failure::User(format!(
-                        "{} exists already; name another folder",
-                        path.display()
-                    )));
-                }
+            let overlay = (config::overlay(), "overlay.toml");
+            // As a layer the readings would undo what a manoeuvre sets; the overlay has their keys.
+            let presets = config::presets().iter().filter(|it| it.path != "readings.toml");
+            let files: Vec<(PathBuf, &str)> = std::iter::once((overlay.1, &*overlay.0))
+                .chain(presets.map(|it| (it.path, it.text)))
+                .map(|(path, text)| (folder.join(path), text))
+                .collect();
+            if let Some((path, _)) = files.iter().find(|(path, _)| path.exists()) {
+                return Err(Failure::User(format!(
+                    "{} exists already; name another folder",
+                    path.display()
+                )));
             }
-            for preset in config::presets() {
-                let path = folder.join(preset.path);
+            for (path, text) in files {
                 path.parent()
                     .map_or(Ok(()), fs::create_dir_all)
-                    .and_then(|()| fs::write(&path, preset.text))
+                    .and_then(|()| fs::write(&path, text))
                     .map_err(|error| {
                         Failure::User(format!("{}: cannot be written: {error}", path.display()))
                     })?;
                 say!("{}", path.display());
             }
         }
+    }
+    Ok(())
+}
+
+/// Prints a key of the presets wherever it is set, with what it means.
+fn show_key(word: &str) -> Result<(), Failure> {
+    let found = config::find_key(word);
+    if found.is_empty() {
+        let near = config::nearest_keys(word);
+        let advice = match near.is_empty() {
+            true => {
+                let paths: Vec<_> = config::presets().iter().map(|preset| preset.path).collect();
+                format!("there are the presets {}", paths.join(", "))
+            }
+            false => format!("did you mean {}?", near.join(", ")),
+        };
+        return Err(Failure::User(format!(
+            "no preset's path contains {word:?}, and no key has this name; {advice}"
+        )));
+    }
+    for key in found {
+        say!("#### {}: {}\n{}\n", key.path, key.key, key.lines.join("\n"));
     }
     Ok(())
 }

@@ -294,6 +294,16 @@ pub(crate) fn prepare(
 }
 
 pub(crate) fn read(file: &Path, option: &str) -> Result<String, Failure> {
+    if file.is_dir() {
+        let what = match option {
+            "--config" => {
+                "a TOML file with the keys to change, such as overlay.toml of `pathtune config init`"
+            }
+            _ => "a file",
+        };
+        let why = format!("{option} {}: is a folder; it wants {what}", file.display());
+        return Err(Failure::User(why));
+    }
     read_small(file).map_err(|error| Failure::User(format!("{option} {}: {error}", file.display())))
 }
 

@@ -38,7 +38,13 @@ impl Page {
                 dt { "Kind" } dd {
                     (kind) @if matches!(outcome, Outcome::Train(_)) { ", " (noise) }
                 }
-                dt { "Vehicle" } dd { (vehicle) }
+                dt { "Vehicle" } dd {
+                    (vehicle)
+                    @if !config.vehicle.borrowed.is_empty() {
+                        "; " (config.vehicle.borrowed.len()) " of its keys are those of another car, tesla_model_3: "
+                        (config.vehicle.borrowed.join(", "))
+                    }
+                }
                 dt { "Law" } dd { (law) @if *law == config.law.name { " (" (config.law.summary) ")" } }
                 dt { "Objective" } dd {
                     (objective) @if *objective == config.objective.name { " (" (config.objective.summary) ")" }

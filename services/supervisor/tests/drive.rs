@@ -56,7 +56,11 @@ fn distance_and_heading_are_limited_as_means() {
 fn limits_scale_with_the_wheelbase_and_with_noise_and_are_off_for_the_paper() {
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} {b}");
     near(config(&[]).path_distance_limit_m(), 3.0);
-    near(config(&["vehicle.wheelbase_m=0.575"]).path_distance_limit_m(), 0.6);
+    near(
+        config(&["vehicle.wheelbase_m=0.575", "vehicle.tracked_point_m=0.1"])
+            .path_distance_limit_m(),
+        0.6,
+    );
     near(config(&["noise.enabled=true"]).path_distance_limit_m(), 3.1);
     near(config(&["noise.enabled=true"]).path_heading_limit_rad(), 0.888);
     near(config(&["vehicle.safety.path_distance_limit_m=2"]).path_distance_limit_m(), 2.0);
