@@ -40,7 +40,7 @@ pub use law::{
     paper_law, preset as law_preset,
 };
 pub use layers::Layers;
-pub use plants::{Over, OverBy, PlantChange};
+pub use plants::{Over, OverBy, PerPlant, PlantChange};
 pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};
 pub use schema::*;

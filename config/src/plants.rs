@@ -32,11 +32,12 @@ choice!(
 pub struct Over {
     pub by: OverBy,
     pub plants: Vec<PlantChange>,
+    pub fragile_below_s: f64,
 }
 
 impl Default for Over {
     fn default() -> Self {
-        Self { by: OverBy::Nominal, plants: Vec::new() }
+        Self { by: OverBy::Nominal, plants: Vec::new(), fragile_below_s: 0.2 }
     }
 }
 
@@ -49,7 +50,7 @@ pub struct PlantChange {
     /// What is added to keys of the vehicle, in their units.
     #[serde(default)]
     pub add: BTreeMap<String, f64>,
-    /// What keys of the vehicle are multiplied by, before something is added.
+    /// What keys of the vehicle are multiplied by, before something is added; and [`PlantChange::SPEED`].
     #[serde(default)]
     pub scale: BTreeMap<String, f64>,
 }
@@ -60,6 +61,14 @@ impl PlantChange {
             pairs.iter().map(|&(key, by)| (key.to_owned(), by)).collect::<BTreeMap<_, _>>()
         };
         Self { name: name.to_owned(), add: of(add), scale: of(scale) }
+    }
+
+    /// The key of the speeds at which the path is driven: a car is to hold at another speed, too.
+    pub const SPEED: &str = "reference.speed_mps";
+
+    /// By what the speeds of the reference are multiplied.
+    pub fn speed_factor(&self) -> f64 {
+        self.scale.get(Self::SPEED).copied().unwrap_or(1.0)
     }
 
     /// The vehicle that it makes of another one.
@@ -76,7 +85,8 @@ impl PlantChange {
             .filter(|(_, value)| value.is_float())
             .map(|(key, _)| key.clone())
             .collect();
-        let scaled = self.scale.iter().map(|(key, by)| ("scale", key, *by));
+        let of_vehicle = self.scale.iter().filter(|(key, _)| *key != Self::SPEED);
+        let scaled = of_vehicle.map(|(key, by)| ("scale", key, *by));
         let added = self.add.iter().map(|(key, by)| ("add", key, *by));
         for (how, key, by) in scaled.chain(added) {
             let Some(Value::Float(value)) = table.get_mut(key) else {
@@ -97,8 +107,37 @@ impl PlantChange {
     }
 }
 
+/// What a process makes of the configuration to drive with, made once for each plant that wants another than the
+/// configured vehicle does.
+#[derive(Debug, Clone)]
+pub struct PerPlant<T> {
+    of_vehicle: T,
+    /// By the numbers of drive requests; `None` where that of the vehicle serves.
+    of_plants: BTreeMap<u32, Option<T>>,
+}
+
+impl<T> PerPlant<T> {
+    /// With what drives the configured vehicle.
+    pub fn new(of_vehicle: T) -> Self {
+        Self { of_vehicle, of_plants: BTreeMap::new() }
+    }
+
+    /// What drives the plant of a drive request, see [`RunConfig::driving_plant_number`].
+    pub fn of(&mut self, config: &RunConfig, plant: u32, make: impl Fn(&RunConfig) -> T) -> &T {
+        if plant == 0 {
+            return &self.of_vehicle;
+        }
+        let made = self.of_plants.entry(plant);
+        made.or_insert_with(|| config.driving_plant_number(plant).as_ref().map(make))
+            .as_ref()
+            .unwrap_or(&self.of_vehicle)
+    }
+}
+
 /// Largest number of plants: each is a drive of every set.
 const MAX_PLANTS: usize = 64;
+/// The largest speed of a reference, as `reference.speed_mps` has it.
+const FASTEST_MPS: f64 = 50.0;
 /// The plants that are assumed where nobody has named any, for a car whose values are estimates.
 const MORE_UNDERSTEER_S2PM: f64 = 0.004;
 
@@ -153,16 +192,45 @@ impl RunConfig {
     }
 
     /// The configuration with the vehicle that a change makes of this one. It is for the plant alone: what drives it
-    /// goes on believing in the vehicle's file.
+    /// goes on believing in the vehicle's file, see [`RunConfig::driving_plant`].
     ///
     /// # Panics
     /// If the change is none of a resolved configuration.
     pub fn with_plant(&self, change: &PlantChange) -> Self {
         let vehicle = change.of(&self.vehicle).expect("a resolved configuration was checked");
-        Self { vehicle, ..self.clone() }
+        Self { vehicle, ..self.driving_plant(change) }
+    }
+
+    /// The configuration of what drives a plant: the vehicle of the file, and the reference's speeds of the plant.
+    pub fn driving_plant(&self, change: &PlantChange) -> Self {
+        let mut driving = self.clone();
+        let factor = change.speed_factor();
+        driving.reference.speed_mps *= factor;
+        for speed_mps in &mut driving.path.speeds_mps {
+            *speed_mps *= factor;
+        }
+        driving
+    }
+
+    /// The configuration of what drives the plant of a drive request: 0 is the configured vehicle, n the n-th plant.
+    /// `None` if it drives that as it drives the configured vehicle, or if there is no such plant.
+    pub fn driving_plant_number(&self, plant: u32) -> Option<Self> {
+        let change = self.plant_changes().into_iter().nth((plant as usize).checked_sub(1)?)?;
+        (change.speed_factor() != 1.0).then(|| self.driving_plant(&change))
     }
 
     fn check_plant(&self, change: &PlantChange) -> Result<(), Problem> {
+        let key = || format!("scale.{}", PlantChange::SPEED);
+        let factor = change.speed_factor();
+        let own = self.path.speeds_mps.iter().copied().fold(self.reference.speed_mps, f64::max);
+        if !(factor > 0.0 && factor * own <= FASTEST_MPS) {
+            let problem = format!("is {factor}, but must be above 0, and leave the speed at most {FASTEST_MPS} m/s");
+            return Err((key(), problem));
+        }
+        if change.add.contains_key(PlantChange::SPEED) {
+            let problem = "can be multiplied alone: move it to scale".to_owned();
+            return Err((format!("add.{}", PlantChange::SPEED), problem));
+        }
         let plant = Self { vehicle: change.of(&self.vehicle)?, ..self.clone() };
         crate::validate::vehicle(&plant).map_err(|(key, problem)| {
             (key, format!("{problem}, with the plant \"{}\"", change.name))
@@ -185,6 +253,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
         let at = |(key, problem)| (format!("over.plants[{index}].{key}"), problem);
         config.check_plant(change).map_err(at)?;
     }
+    crate::validate::within("over.fragile_below_s", config.over.fragile_below_s, 0.0, 10.0)?;
     if config.over.by != OverBy::Nominal && config.noise.enabled {
         let problem = "is not \"nominal\", but with noise a set is not driven over plants; leave out --noise or --over";
         return Err(("over.by".to_owned(), problem.to_owned()));
