@@ -224,7 +224,9 @@ impl RunConfig {
         let factor = change.speed_factor();
         let own = self.path.speeds_mps.iter().copied().fold(self.reference.speed_mps, f64::max);
         if !(factor > 0.0 && factor * own <= FASTEST_MPS) {
-            let problem = format!("is {factor}, but must be above 0, and leave the speed at most {FASTEST_MPS} m/s");
+            let problem = format!(
+                "is {factor}, but must be above 0, and leave the speed at most {FASTEST_MPS} m/s"
+            );
             return Err((key(), problem));
         }
         if change.add.contains_key(PlantChange::SPEED) {

@@ -399,7 +399,7 @@ pub struct CertifyArgs {
     /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,
-    /// The control law; there are certificates for the paper's alone
+    /// The control law; there are certificates for the paper's alone, and Δ and the simulated region for all
     #[arg(long, value_name = "NAME|FILE")]
     pub law: Option<String>,
     /// Set one key, overriding everything else; repeatable

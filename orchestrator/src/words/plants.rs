@@ -83,7 +83,9 @@ pub(crate) fn margin(it: &Margin) -> String {
             1000.0 * margin_s
         ),
         (None, None) => {
-            format!("however late the steering acts at {speed_mps:.2} m/s, the loop does not oscillate (Δ)")
+            format!(
+                "however late the steering acts at {speed_mps:.2} m/s, the loop does not oscillate (Δ)"
+            )
         }
     }
 }
@@ -99,7 +101,9 @@ pub(crate) fn verdict(it: &PlantCheck) -> String {
             let and = known.map_or(String::new(), |margin_s| {
                 format!(", and its steering may act {:.0} ms later", 1000.0 * margin_s)
             });
-            format!("the set is not fragile: no such plant takes it more than twice as far from the path{and}")
+            format!(
+                "the set is not fragile: no such plant takes it more than twice as far from the path{and}"
+            )
         }
     }
 }

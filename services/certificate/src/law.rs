@@ -25,8 +25,6 @@ const FORGOTTEN: f64 = 1e-9;
 /// How long that must last, and how long it may take.
 const QUIET_TICKS: usize = 200;
 const LONGEST_TICKS: usize = 8_000;
-/// How long the law drives on before it is looked at.
-const SETTLING_TICKS: u64 = 200;
 
 /// The lateral loop of a law, a set of its parameters and a car, at one speed.
 #[derive(Debug, Clone)]
@@ -110,7 +108,9 @@ impl LawLoop {
         if !self.is_stable() {
             return 0.0;
         }
-        least_delay_s(self.tick_s, |frequency_radps| self.open_loop(1.0, frequency_radps * self.tick_s))
+        least_delay_s(self.tick_s, |frequency_radps| {
+            self.open_loop(1.0, frequency_radps * self.tick_s)
+        })
     }
 }
 
@@ -133,7 +133,7 @@ fn turned_between(
 }
 
 /// Drives a law straight on.
-struct Probe {
+pub(crate) struct Probe {
     drive: DriveController,
     set: Parameters,
     speed_mps: f64,
@@ -141,7 +141,7 @@ struct Probe {
 }
 
 impl Probe {
-    fn new(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Self {
+    pub(crate) fn new(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Self {
         let mut straight = config.clone();
         let tick_s = config.drive.tick_s;
         straight.drive.loop_time_s = (LONGEST_TICKS as f64 + 1e4) * tick_s;
@@ -166,11 +166,14 @@ impl Probe {
         Self::LARGEST_LEAD_S * speed_mps + 100.0
     }
 
+    /// How long the law drives on before it is looked at.
+    pub(crate) const SETTLING_TICKS: u64 = 200;
+
     /// Leads beyond this time are not looked for.
     const LARGEST_LEAD_S: f64 = 100.0;
 
     /// The tick of the reference's clock, and what the law sees then.
-    fn seen(&self, lead_m: f64, tick: u64) -> (Phase, Seen) {
+    pub(crate) fn seen(&self, lead_m: f64, tick: u64) -> (Phase, Seen) {
         let per_tick_m = self.speed_mps * self.tick_s;
         let begin = libm::round(Self::start_m(self.speed_mps) / per_tick_m);
         let ticks = begin + tick as f64;
@@ -181,13 +184,13 @@ impl Probe {
     }
 
     /// The law, with the car at a steady distance behind the reference for a while; and its speed command.
-    fn settled(&self, lead_m: f64) -> (DriveController, f64) {
+    pub(crate) fn settled(&self, lead_m: f64) -> (DriveController, f64) {
         let mut drive = self.drive.clone();
         drive.reset(self.set, u64::MAX);
         let (phase, seen) = self.seen(lead_m, 0);
         drive.join(0.0, phase, seen.measured, 0.0, None);
         let mut commanded_mps = 0.0;
-        for tick in 0..SETTLING_TICKS {
+        for tick in 0..Self::SETTLING_TICKS {
             let (phase, seen) = self.seen(lead_m, tick);
             commanded_mps = drive.tick(phase, seen).command.speed_mps;
         }
@@ -220,7 +223,7 @@ impl Probe {
         let (mut largest, mut quiet) = (0.0_f64, 0);
         for tick in 0..LONGEST_TICKS {
             let [left, right] = sides.each_mut().map(|(drive, by)| {
-                let (phase, mut seen) = self.seen(lead_m, SETTLING_TICKS + tick as u64);
+                let (phase, mut seen) = self.seen(lead_m, Self::SETTLING_TICKS + tick as u64);
                 if tick == 0 {
                     change(&mut seen, *by);
                 }

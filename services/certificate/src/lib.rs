@@ -26,6 +26,7 @@ mod margin;
 mod region;
 mod segment;
 mod simulated;
+mod simulated_law;
 mod small;
 mod spectrum;
 mod vertices;

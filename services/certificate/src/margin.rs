@@ -17,8 +17,7 @@ pub fn additional_dead_time_s(
     if speed_mps <= 0.0 {
         return Err("no Δ: the car does not drive".to_owned());
     }
-    let is_late = config.vehicle.steering_delay_s > 0.0 || config.vehicle.steering_lag_s > 0.0;
-    if config.law.name != "paper" || is_late && config.controller.compensate_dead_time {
+    if !is_exact(config) {
         return Ok(LawLoop::new(config, set, speed_mps)?.additional_dead_time_s());
     }
     let (car, gains) = (Car::new(config), Gains::new(set));
@@ -30,4 +29,14 @@ pub fn additional_dead_time_s(
         Advance::Projection => config.reference.lookahead_m,
     };
     Ok(LateralLoop::new(&car, &gains, speed_mps, lead_m).additional_dead_time_s())
+}
+
+/// Whether the loop is written down: that of the paper's law, where it knows nothing of the steering.
+pub(crate) fn is_exact(config: &RunConfig) -> bool {
+    let vehicle = &config.vehicle;
+    let is_plain = vehicle.steering_delay_s == 0.0
+        && vehicle.steering_lag_s == 0.0
+        && vehicle.steering_gain == 1.0
+        && vehicle.steering_offset_rad == 0.0;
+    config.law.name == "paper" && (is_plain || !config.controller.compensate_dead_time)
 }

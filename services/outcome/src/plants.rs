@@ -57,7 +57,9 @@ impl Margin {
         let Self { speed_mps, additional_dead_time_s, fragile_below_s, .. } = *self;
         let margin_s = additional_dead_time_s.filter(|it| *it < fragile_below_s)?;
         Some(match margin_s {
-            0.0 => format!("at {speed_mps:.2} m/s its loop is unstable with the vehicle's dead time and lag"),
+            0.0 => format!(
+                "at {speed_mps:.2} m/s its loop is unstable with the vehicle's dead time and lag"
+            ),
             _ => format!(
                 "at {speed_mps:.2} m/s the steering may act only {:.0} ms later until the loop oscillates, less than {:.0} ms",
                 1000.0 * margin_s,

@@ -72,6 +72,8 @@ fn late(it: &Margin) -> String {
             1000.0 * margin_s,
             1000.0 * it.fragile_below_s
         ),
-        (None, None) => format!("Additional dead time Δ at {:.2} m/s: without bound.", it.speed_mps),
+        (None, None) => {
+            format!("Additional dead time Δ at {:.2} m/s: without bound.", it.speed_mps)
+        }
     }
 }

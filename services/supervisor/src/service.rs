@@ -137,7 +137,8 @@ impl Supervisor {
         }
         let Self { fresh, slots, config, .. } = self;
         slots.extend(requests.iter().map(|request| {
-            let Fresh { tracker, pace, watch } = fresh.of(config, request.plant, Fresh::new).clone();
+            let Fresh { tracker, pace, watch } =
+                fresh.of(config, request.plant, Fresh::new).clone();
             Slot {
                 tracker,
                 pace,

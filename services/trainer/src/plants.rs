@@ -86,16 +86,20 @@ const FRESH: usize = 48;
 const FRESH_STREAM: u64 = 0x0066_7265_7368;
 
 /// What a set does on the plants of the configuration, beside sets that are nominally about as good. `near` are these
-/// sets, the nominally best first; they may contain the set itself.
+/// sets, the nominally best first; they may contain the set itself. Where drives are long, they are left out.
 pub(crate) fn check(
     config: &RunConfig,
     objective: &Objective,
     set: &Parameters,
-    near: &[Parameters],
+    mut near: Vec<Parameters>,
 ) -> PlantCheck {
     let mut nominal = config.clone();
     nominal.over = config::Over { by: OverBy::Nominal, ..config.over.clone() };
     let changes = nominal.plant_changes();
+    let ticks = config.ticks() * (near.len() * changes.len()) as u64;
+    if ticks > config.ranking.max_ticks {
+        near.clear();
+    }
     let mut rollouts: Vec<Rollout> = changes.iter().map(|it| on_plant(&nominal, it)).collect();
     let mut drive_all = |set: &Parameters| -> Vec<DriveRecord> {
         rollouts.iter_mut().map(|rollout| rollout.drive(*set, None)).collect()
@@ -129,7 +133,8 @@ pub(crate) fn check(
         .collect();
     let floor_m = FLOOR_M * config.vehicle.wheelbase_m / FULL_SIZE_M;
     let is_to_arrive = config.is_to_arrive();
-    let by_plants = plants.iter().find_map(|plant| why_fragile(plant, &plain, floor_m, is_to_arrive));
+    let by_plants =
+        plants.iter().find_map(|plant| why_fragile(plant, &plain, floor_m, is_to_arrive));
     let reasons: Vec<String> = by_plants.into_iter().chain(margin.why_fragile()).collect();
     let worst = |of: &[f64]| of.iter().copied().fold(0.0, f64::max);
     let calmest = others
