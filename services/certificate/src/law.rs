@@ -158,6 +158,9 @@ impl Probe {
             zones,
         };
         straight.reference.speed_mps = speed_mps;
+        // At its speed from the beginning.
+        straight.reference.ramp_s = 0.0;
+        straight.drive.start_speed_mps = 0.0;
         Self { drive: DriveController::new(&straight), set: *set, speed_mps, tick_s }
     }
 
