@@ -199,7 +199,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub drives: Option<u32>,
     /// Judge each set by its drives on several plants, which are vehicles that the car may really be: `default` for eight
-    /// around the vehicle's file, or a TOML file of `plants`, each with a name, `add` and `scale`
+    /// around the vehicle's file and a faster drive, or a TOML file of `plants`, each with a name, `add` and `scale`
     #[arg(long, value_name = "default|FILE")]
     pub over: Option<String>,
     /// How the drives over plants are judged together
