@@ -30,7 +30,7 @@ pub struct GridResult {
     /// What the best set by the objective does on plausible plants, and whether it is fragile; null with a vehicle that is
     /// not our simulator, and in results of earlier versions.
     #[serde(default)]
-    pub plants: Option<PlantCheck>,
+    pub plants: Option<Box<PlantCheck>>,
     /// What each parameter alone explains, by its name.
     pub main_effects: BTreeMap<String, MainEffect>,
 }

@@ -140,11 +140,11 @@ impl GridSweep {
     }
 
     /// What the best set does on plausible plants, beside those that are nominally about as good.
-    fn plants(&self, ranking: &Ranking) -> Option<PlantCheck> {
+    fn plants(&self, ranking: &Ranking) -> Option<Box<PlantCheck>> {
         let mut near = self.order(ranking, [VALUE, MSE]);
         near.truncate(ALTERNATIVES);
         let best = *near.first().filter(|_| self.simulated)?;
-        Some(check(&self.config, ranking.objective(), &best, near))
+        Some(Box::new(check(&self.config, ranking.objective(), &best, near)))
     }
 
     fn ranked(&self, ranking: &Ranking, set: &Parameters, drive: &DriveRecord) -> RankedSet {
