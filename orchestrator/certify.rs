@@ -4,9 +4,7 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::Path;
 
-use certificate::{
-    AtSpeed, CLAIM, Certificate, Certified, Extent, FRAGILE_BELOW_S, LARGEST_LEVEL, Subject,
-};
+use certificate::{AtSpeed, CLAIM, Certificate, Certified, Extent, LARGEST_LEVEL, Subject};
 use config::read_small;
 use orchestrator::cli::CertifyArgs;
 use orchestrator::commands::{Certifiable, certifiable};
@@ -34,12 +32,12 @@ pub(crate) fn certify(args: &CertifyArgs) -> Result<bool, Failure> {
     });
     if args.json {
         let text = json!({
-            "note": note, "car": subject.car(), "condition": CLAIM, "fragile_below_s": FRAGILE_BELOW_S,
+            "note": note, "car": subject.car(), "condition": CLAIM, "fragile_below_s": config.over.fragile_below_s,
             "no_certificate": subject.uncertain(), "speeds": all,
         });
         print_line(&serde_json::to_string_pretty(&text).map_err(anyhow::Error::from)?)?;
     } else {
-        print(&subject, &note, &all)?;
+        print(&subject, &note, &all, config.over.fragile_below_s)?;
     }
     if let Some(file) = &args.write {
         let regions: Vec<Certified> = all.into_iter().flat_map(|it| it.regions).collect();
@@ -57,7 +55,12 @@ fn own_speed(config: &config::RunConfig) -> f64 {
     config.path.speeds_mps.iter().copied().reduce(f64::max).unwrap_or(config.reference.speed_mps)
 }
 
-fn print(subject: &Subject, note: &str, all: &[AtSpeed]) -> Result<(), Failure> {
+fn print(
+    subject: &Subject,
+    note: &str,
+    all: &[AtSpeed],
+    fragile_below_s: f64,
+) -> Result<(), Failure> {
     print_line(note)?;
     let extent = |it: Option<Extent>, sign: &str| match it {
         Some(it) => format!("{sign}{:.3} m, {sign}{:.3} rad", it.offset_m, it.heading_rad),
@@ -77,12 +80,18 @@ fn print(subject: &Subject, note: &str, all: &[AtSpeed]) -> Result<(), Failure> 
         at.sets.iter().map(|it| {
             let margin = match it.additional_dead_time_s {
                 Some(margin_s) => format!("{:.0}", 1000.0 * margin_s),
+                None if it.stable.is_none() => "–".to_owned(),
                 None => "no bound".to_owned(),
             };
             vec![
                 it.maneuver.clone(),
                 format!("{}", at.speed_mps),
-                if it.stable { "yes" } else { "no" }.to_owned(),
+                match it.stable {
+                    Some(true) => "yes",
+                    Some(false) => "no",
+                    None => "–",
+                }
+                .to_owned(),
                 margin,
                 if it.fragile { "fragile" } else { "" }.to_owned(),
                 extent(it.certified, "± "),
@@ -145,7 +154,7 @@ fn print(subject: &Subject, note: &str, all: &[AtSpeed]) -> Result<(), Failure> 
     }
     print_line(&format!(
         "Δ: how much later the steering may act until the loop oscillates; below {:.0} ms a set is fragile",
-        1000.0 * FRAGILE_BELOW_S
+        1000.0 * fragile_below_s
     ))?;
     print_line(
         "simulated region: 300 of 300 random starts converge, which is at least 99 % with a confidence of 95 %; none \

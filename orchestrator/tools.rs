@@ -15,6 +15,7 @@ pub(crate) const TOOLS: Tools = Tools {
     monitor: look,
     record,
     replay,
+    margin: trainer::margin,
     certify: crate::certify::certify,
     calibrate: crate::calibrate::calibrate,
     journal: crate::calibrate::journal::note,

@@ -110,11 +110,14 @@ fn what_cannot_be_certified_is_told_with_the_reason() {
     let output = sandbox.run(&[&["certify"], &unstable[..]].concat());
     assert!(stdout(&output).contains("the loop is unstable"), "{}", stdout(&output));
 
-    refused(
-        &sandbox,
-        &["lane_change", "--law", "stanley"],
-        &["no certificate for the law stanley"],
-    );
+    // Of other laws, and with compensation, what the law itself shows when it is driven.
+    let stanley = json(&sandbox, &["lane_change", "--law", "stanley", "--vehicle", "late.toml"]);
+    let set = &stanley["speeds"][0]["sets"][0];
+    let why = set["no_certificate"].as_str().unwrap();
+    assert!(why.contains("no certificate for the law stanley"), "{why}");
+    assert!(set["stable"] == true && set["gains"]["k_soft"].is_number(), "{set}");
+    assert!(set["additional_dead_time_s"].as_f64().unwrap() > 0.2, "{set}");
+    assert!(set["simulated"]["offset_m"].as_f64().unwrap() > 0.1, "{set}");
     refused(&sandbox, &["lane_change", "--speeds", "1.5,fast"], &["fast", "m/s"]);
     refused(&sandbox, &["lane_change", "--gains", "0,21,21,0.7"], &["kv = 0"]);
     refused(&sandbox, &[&late[..], &["--write", "late.json"]].concat(), &["no certified region"]);

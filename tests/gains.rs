@@ -67,8 +67,20 @@ fn gains_are_promoted_listed_shown_and_driven() {
     let plain = sandbox.run(&["drive", "lane_change", "--vehicle", "car.toml", "--out", "plain"]);
     assert!(stderr(&plain).contains("from the paper"), "{}", stderr(&plain));
 
+    // How much later the steering may act counts with the car that is to drive with them.
+    let late = format!("steering_delay_s = 0.5\nsteering_lag_s = 0.5\n{CAR}");
+    fs::write(sandbox.path("late.toml"), late).unwrap();
+    let args = ["gains", "promote", "first", "late.toml"];
+    let said = sandbox.run(&args);
+    assert_eq!(said.status.code(), Some(64), "{}", stderr(&said));
+    assert!(stderr(&said).contains("the set is fragile, with this vehicle"), "{}", stderr(&said));
+    let said = gains(&sandbox, &["promote", "first", "late.toml", "--force", "--dry-run"]);
+    assert!(said.contains("(Δ)"), "{said}");
+
     let promoted = sandbox.run(&["gains", "promote", "first", "car.toml"]);
     assert!(promoted.status.success(), "{}", stderr(&promoted));
+    let said = String::from_utf8_lossy(&promoted.stdout);
+    assert!(said.contains("ms later") && said.contains("(Δ)"), "{said}");
     let bounds = result["on_bound"].as_array().unwrap();
     assert_eq!(stderr(&promoted).contains("warning: on a bound"), !bounds.is_empty());
     let text = fs::read_to_string(sandbox.path("car.toml")).unwrap();

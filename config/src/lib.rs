@@ -51,7 +51,7 @@ pub use law::{
 pub use layers::Layers;
 pub use overlay::{Found, find_key, nearest_keys, overlay};
 pub use path_file::{Columns, Crs, PathOptions, RecordedPath};
-pub use plants::{Over, OverBy, PlantChange};
+pub use plants::{Over, OverBy, PerPlant, PlantChange};
 pub use presets::{Preset, maneuver_names, names_in, nearest, presets};
 pub use ros2::{Align, CollisionMessage, DriveMessage, Ros2, Ros2Reliability};
 pub use schema::*;

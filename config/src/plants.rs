@@ -32,11 +32,12 @@ choice!(
 pub struct Over {
     pub by: OverBy,
     pub plants: Vec<PlantChange>,
+    pub fragile_below_s: f64,
 }
 
 impl Default for Over {
     fn default() -> Self {
-        Self { by: OverBy::Nominal, plants: Vec::new() }
+        Self { by: OverBy::Nominal, plants: Vec::new(), fragile_below_s: 0.2 }
     }
 }
 
@@ -49,7 +50,7 @@ pub struct PlantChange {
     /// What is added to keys of the vehicle, in their units.
     #[serde(default)]
     pub add: BTreeMap<String, f64>,
-    /// What keys of the vehicle are multiplied by, before something is added.
+    /// What keys of the vehicle are multiplied by, before something is added; and [`PlantChange::SPEED`].
     #[serde(default)]
     pub scale: BTreeMap<String, f64>,
 }
@@ -60,6 +61,14 @@ impl PlantChange {
             pairs.iter().map(|&(key, by)| (key.to_owned(), by)).collect::<BTreeMap<_, _>>()
         };
         Self { name: name.to_owned(), add: of(add), scale: of(scale) }
+    }
+
+    /// The key of the speeds at which the path is driven: a car is to hold at another speed, too.
+    pub const SPEED: &str = "reference.speed_mps";
+
+    /// By what the speeds of the reference are multiplied.
+    pub fn speed_factor(&self) -> f64 {
+        self.scale.get(Self::SPEED).copied().unwrap_or(1.0)
     }
 
     /// The vehicle that it makes of another one.
@@ -76,7 +85,8 @@ impl PlantChange {
             .filter(|(_, value)| value.is_float())
             .map(|(key, _)| key.clone())
             .collect();
-        let scaled = self.scale.iter().map(|(key, by)| ("scale", key, *by));
+        let of_vehicle = self.scale.iter().filter(|(key, _)| *key != Self::SPEED);
+        let scaled = of_vehicle.map(|(key, by)| ("scale", key, *by));
         let added = self.add.iter().map(|(key, by)| ("add", key, *by));
         for (how, key, by) in scaled.chain(added) {
             let Some(Value::Float(value)) = table.get_mut(key) else {
@@ -97,8 +107,39 @@ impl PlantChange {
     }
 }
 
+/// What a process makes of the configuration to drive with, made once for each plant that wants another than the
+/// configured vehicle does.
+#[derive(Debug, Clone)]
+pub struct PerPlant<T> {
+    of_vehicle: T,
+    /// By the numbers of drive requests; `None` where that of the vehicle serves.
+    of_plants: BTreeMap<u32, Option<T>>,
+}
+
+impl<T> PerPlant<T> {
+    /// With what drives the configured vehicle.
+    pub fn new(of_vehicle: T) -> Self {
+        Self { of_vehicle, of_plants: BTreeMap::new() }
+    }
+
+    /// What drives the plant of a drive request, see [`RunConfig::driving_plant_number`].
+    pub fn of(&mut self, config: &RunConfig, plant: u32, make: impl Fn(&RunConfig) -> T) -> &T {
+        if plant == 0 {
+            return &self.of_vehicle;
+        }
+        let made = self.of_plants.entry(plant);
+        made.or_insert_with(|| config.driving_plant_number(plant).as_ref().map(make))
+            .as_ref()
+            .unwrap_or(&self.of_vehicle)
+    }
+}
+
 /// Largest number of plants: each is a drive of every set.
 const MAX_PLANTS: usize = 64;
+/// How much faster a set is to hold that is chosen over the plants that nobody has named.
+const FASTER: f64 = 1.5;
+/// The largest speed of a reference, as `reference.speed_mps` has it.
+const FASTEST_MPS: f64 = 50.0;
 /// The plants that are assumed where nobody has named any, for a car whose values are estimates.
 const MORE_UNDERSTEER_S2PM: f64 = 0.004;
 
@@ -128,9 +169,11 @@ impl Layers {
 }
 
 impl RunConfig {
-    /// How plants differ from the vehicle that this car may be: those that the configuration names, those within the
-    /// intervals that a user states in the vehicle's file, or eight around the estimate. These are errors of a model, not draws of measured uncertainty: dead times and lag that are longer,
-    /// steering that turns more slowly, understeer, and an offset to both sides.
+    /// How plants differ from the vehicle that this car may be: those that the configuration names, those
+    /// within the intervals that a user states in the vehicle's file, or eight around the estimate. These are errors of a model, not draws of measured uncertainty: dead times and lag that are longer,
+    /// steering that turns more slowly, understeer, and an offset to both sides. A set that is chosen over plants is also
+    /// to hold when it drives faster than it was trained for, which the eight do not ask: so there is a ninth then. It
+    /// tells nothing of whether a set is fragile, as every car is farther from the path when it drives faster.
     pub fn plant_changes(&self) -> Vec<PlantChange> {
         if !self.over.plants.is_empty() {
             return self.over.plants.clone();
@@ -152,21 +195,64 @@ impl RunConfig {
             PlantChange::new("steering offset +10 mrad", &[("steering_offset_rad", 0.01)], &[]),
             PlantChange::new("steering offset −10 mrad", &[("steering_offset_rad", -0.01)], &[]),
         ];
+        let mut around = around.to_vec();
+        let faster_mps = FASTER * self.reference.speed_mps;
+        // A path with speeds of its own is driven as fast as the car can.
+        let may_be_faster =
+            self.path.speeds_mps.is_empty() && faster_mps <= self.supervisor.speed_limit_mps;
+        if self.over.by != OverBy::Nominal && may_be_faster {
+            around.push(PlantChange::new(
+                "reference 1.5 × as fast",
+                &[],
+                &[(PlantChange::SPEED, FASTER)],
+            ));
+        }
         // A car whose file is at the edge of what a vehicle can have is not asked for more than that.
         around.into_iter().filter(|it| self.check_plant(it).is_ok()).collect()
     }
 
     /// The configuration with the vehicle that a change makes of this one. It is for the plant alone: what drives it
-    /// goes on believing in the vehicle's file.
+    /// goes on believing in the vehicle's file, see [`RunConfig::driving_plant`].
     ///
     /// # Panics
     /// If the change is none of a resolved configuration.
     pub fn with_plant(&self, change: &PlantChange) -> Self {
         let vehicle = change.of(&self.vehicle).expect("a resolved configuration was checked");
-        Self { vehicle, ..self.clone() }
+        Self { vehicle, ..self.driving_plant(change) }
+    }
+
+    /// The configuration of what drives a plant: the vehicle of the file, and the reference's speeds of the plant.
+    pub fn driving_plant(&self, change: &PlantChange) -> Self {
+        let mut driving = self.clone();
+        let factor = change.speed_factor();
+        driving.reference.speed_mps *= factor;
+        for speed_mps in &mut driving.path.speeds_mps {
+            *speed_mps *= factor;
+        }
+        driving
+    }
+
+    /// The configuration of what drives the plant of a drive request: 0 is the configured vehicle, n the n-th plant.
+    /// `None` if it drives that as it drives the configured vehicle, or if there is no such plant.
+    pub fn driving_plant_number(&self, plant: u32) -> Option<Self> {
+        let change = self.plant_changes().into_iter().nth((plant as usize).checked_sub(1)?)?;
+        (change.speed_factor() != 1.0).then(|| self.driving_plant(&change))
     }
 
     fn check_plant(&self, change: &PlantChange) -> Result<(), Problem> {
+        let key = || format!("scale.{}", PlantChange::SPEED);
+        let factor = change.speed_factor();
+        let own = self.path.speeds_mps.iter().copied().fold(self.reference.speed_mps, f64::max);
+        if !(factor > 0.0 && factor * own <= FASTEST_MPS) {
+            let problem = format!(
+                "is {factor}, but must be above 0, and leave the speed at most {FASTEST_MPS} m/s"
+            );
+            return Err((key(), problem));
+        }
+        if change.add.contains_key(PlantChange::SPEED) {
+            let problem = "can be multiplied alone: move it to scale".to_owned();
+            return Err((format!("add.{}", PlantChange::SPEED), problem));
+        }
         let plant = Self { vehicle: change.of(&self.vehicle)?, ..self.clone() };
         crate::validate::vehicle(&plant).map_err(|(key, problem)| {
             (key, format!("{problem}, with the plant \"{}\"", change.name))
@@ -189,6 +275,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
         let at = |(key, problem)| (format!("over.plants[{index}].{key}"), problem);
         config.check_plant(change).map_err(at)?;
     }
+    crate::validate::within("over.fragile_below_s", config.over.fragile_below_s, 0.0, 10.0)?;
     if config.over.plants.is_empty() {
         let uncertainty = &config.vehicle.uncertainty;
         for change in uncertainty.plant_changes(&config.vehicle, config.run.seed).iter().flatten() {
@@ -219,17 +306,25 @@ mod tests {
     }
 
     #[test]
-    fn without_names_there_are_eight_plants_around_the_vehicle() {
+    fn without_names_there_are_eight_plants_around_the_vehicle_and_a_faster_one_to_choose_over() {
         let plain = config(&[]).unwrap();
         assert_eq!((plain.plants(), plain.plant_changes().len()), (1, 8));
         let over = config(&["over.by=mean"]).unwrap();
-        assert_eq!(over.plants(), 8);
+        assert_eq!(over.plants(), 9);
         let plants: Vec<Vehicle> =
             over.plant_changes().iter().map(|it| over.with_plant(it).vehicle).collect();
         assert_eq!(plants[0], over.vehicle);
         assert_eq!(plants[2].steering_delay_s, over.vehicle.steering_delay_s + 0.06);
         assert_eq!(plants[3].steering_rate_radps, 0.8 * over.vehicle.steering_rate_radps);
-        assert!(plants[1..].iter().all(|it| *it != over.vehicle));
+        assert!(plants[1..8].iter().all(|it| *it != over.vehicle));
+        // The last one is the vehicle itself, 1.5 times as fast: what drives it knows.
+        let driving = over.driving_plant_number(9).unwrap();
+        assert_eq!((&driving.vehicle, &plants[8]), (&over.vehicle, &over.vehicle));
+        assert_eq!(driving.reference.speed_mps, 1.5 * over.reference.speed_mps);
+        assert!((0..9).all(|plant| over.driving_plant_number(plant).is_none()));
+        // Not beyond what the supervisor lets pass.
+        let fast = config(&["over.by=mean", "reference.speed_mps=7.0"]).unwrap();
+        assert_eq!(fast.plants(), 8);
     }
 
     #[test]
@@ -243,6 +338,10 @@ mod tests {
         assert!(typo.contains("steering_delay_s?"), "{typo}");
         let negative = refused("{name='early',add={steering_delay_s=-0.5}}");
         assert!(negative.contains("early"), "{negative}");
+        let still = refused("{name='x',scale={'reference.speed_mps'=0.0}}");
+        assert!(still.contains("over.plants[0].scale.reference.speed_mps"), "{still}");
+        let added = refused("{name='x',add={'reference.speed_mps'=1.0}}");
+        assert!(added.contains("move it to scale"), "{added}");
         let word = refused("{name='x',scale={name=2.0}}");
         assert!(word.contains("no number"), "{word}");
         let noisy = config(&["over.by=mean", "noise.enabled=true"]).unwrap_err().to_string();

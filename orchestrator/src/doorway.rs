@@ -5,6 +5,8 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::ErrorKind;
+use config::{Parameters, RunConfig};
+use outcome::Margin;
 use runtime::limits;
 
 use crate::bench::bench;
@@ -46,6 +48,8 @@ pub struct Tools {
     pub record: fn(&RecordArgs) -> Result<(), Failure>,
     /// Replays a recording; returns whether nothing differed.
     pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
+    /// How much later the steering may act with these parameters, in this configuration, at this speed (m/s).
+    pub margin: fn(&RunConfig, &Parameters, f64) -> Margin,
     /// Says what is certain of gains; returns whether what it was to verify holds.
     pub certify: fn(&CertifyArgs) -> Result<bool, Failure>,
     /// Calibrates an envelope.
@@ -135,7 +139,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Schema(args) => commands::print_schema(&args),
         Command::Excite(args) => commands::excite(&args, services).and_then(draw),
         Command::Identify(args) => (tools.identify)(&args),
-        Command::Gains(command) => commands::gains(&command),
+        Command::Gains(command) => commands::gains(&command, tools.margin),
         Command::Service { name, words } => services.run(&name, &words),
     }
     .map(|()| true)

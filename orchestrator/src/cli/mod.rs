@@ -205,7 +205,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub drives: Option<u32>,
     /// Judge each set by its drives on several plants, which are vehicles that the car may really be: `default` for eight
-    /// around the vehicle's file, or a TOML file of `plants`, each with a name, `add` and `scale`
+    /// around the vehicle's file and a faster drive, or a TOML file of `plants`, each with a name, `add` and `scale`
     #[arg(long, value_name = "default|FILE")]
     pub over: Option<String>,
     /// How the drives over plants are judged together
@@ -414,7 +414,7 @@ pub struct CertifyArgs {
     /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,
-    /// The control law; there are certificates for the paper's alone
+    /// The control law; there are certificates for the paper's alone, and Δ and the simulated region for all
     #[arg(long, value_name = "NAME|FILE")]
     pub law: Option<String>,
     /// Set one key, overriding everything else; repeatable

@@ -6,15 +6,19 @@ use std::path::Path;
 use config::promote::{self, changes, geometry_difference, large_changes, rollback_place};
 use config::slots;
 use config::{
-    LawConfig, Layers, NamedParameters, Provenance, TunedGains, Vehicle, law_preset, read_small,
+    LawConfig, Layers, NamedParameters, Parameters, Provenance, RunConfig, TunedGains, Vehicle,
+    law_preset, read_small,
 };
-use outcome::{OUTCOME_FILE, Outcome, OutcomeError, RESULT_FILE, read_decided, read_result};
+use outcome::{
+    Margin, OUTCOME_FILE, Outcome, OutcomeError, RESULT_FILE, read_decided, read_result,
+};
 use serde_json::{Map, Value, json};
 
 use crate::cli::GainsCommand;
 use crate::runs::vehicle_file::VehicleFile;
 use crate::runs::{preflight, resolved_config};
 use crate::words::Failure;
+use crate::words::plants::margin as said;
 use crate::words::tables::{digits, set_cells, table_of, trim};
 use crate::words::terminal::{say, tell};
 
@@ -22,12 +26,12 @@ use crate::words::terminal::{say, tell};
 ///
 /// # Errors
 /// On a user's mistake, or if a file cannot be written.
-pub(crate) fn gains(command: &GainsCommand) -> Result<(), Failure> {
+pub(crate) fn gains(command: &GainsCommand, margin_of: MarginOf) -> Result<(), Failure> {
     match command {
         GainsCommand::List { vehicle, json } => list(vehicle, *json),
         GainsCommand::Show { vehicle, maneuver, json } => show(vehicle, maneuver, *json),
         GainsCommand::Promote { run, vehicle, force, dry_run } => {
-            promote(run, vehicle, *force, *dry_run)
+            promote(run, vehicle, *force, *dry_run, margin_of)
         }
         GainsCommand::Rollback { vehicle, maneuver, to } => {
             rollback(vehicle, maneuver.as_deref(), *to)
@@ -180,7 +184,16 @@ fn show(file: &Path, maneuver: &str, as_json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Failure> {
+/// How much later the steering may act, see `Tools`.
+type MarginOf = fn(&RunConfig, &Parameters, f64) -> Margin;
+
+fn promote(
+    run: &Path,
+    file: &Path,
+    force: bool,
+    dry_run: bool,
+    margin_of: MarginOf,
+) -> Result<(), Failure> {
     let trained = Trained::read(run)?;
     check_is_file(file)?;
     // A second promotion at the same time waits for this one, so that neither is lost.
@@ -188,7 +201,7 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
     let vehicle = resolve(file)?;
     let Trained { law, parameters, provenance, .. } = &trained;
     let maneuver = &slots::place(&vehicle.gains, &trained.maneuver, law);
-    if let Some((key, then, now)) = geometry_difference(&trained.vehicle, &vehicle)
+    if let Some((key, then, now)) = geometry_difference(&trained.config.vehicle, &vehicle)
         && !force
     {
         return Err(Failure::User(format!(
@@ -236,7 +249,10 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
             )));
         }
     }
-    if let Some(why) = &trained.fragile
+    // With the car that is to drive with them, which may be later than the one of the training.
+    let margin = trained.margin(&vehicle, margin_of);
+    let by_margin = || Some(format!("with this vehicle {}", margin.as_ref()?.why_fragile()?));
+    if let Some(why) = trained.fragile.clone().or_else(by_margin)
         && !force
     {
         return Err(Failure::User(format!(
@@ -261,7 +277,11 @@ fn promote(run: &Path, file: &Path, force: bool, dry_run: bool) -> Result<(), Fa
         what += &format!(" for the path {} ({hash:.8})", trained.maneuver);
     }
     let old = old.map(|old| (&*old.law, &old.parameters));
-    say_changes(file, maneuver, &what, old, (law, parameters))
+    say_changes(file, maneuver, &what, old, (law, parameters))?;
+    if let Some(margin) = &margin {
+        say!("{}", said(margin));
+    }
+    Ok(())
 }
 
 fn rollback(file: &Path, maneuver: Option<&str>, to: Option<usize>) -> Result<(), Failure> {
@@ -305,7 +325,9 @@ struct Trained {
     law: String,
     parameters: NamedParameters,
     provenance: Provenance,
-    vehicle: Vehicle,
+    config: RunConfig,
+    /// The highest speed of its drive, if that is known.
+    fastest_mps: Option<f64>,
     on_bound: Vec<String>,
     /// Why its gains are fragile, if they are.
     fragile: Option<String>,
@@ -394,16 +416,28 @@ impl Trained {
             mean_high: chosen.map(|chosen| chosen.high),
             pathtune: env!("CARGO_PKG_VERSION").to_owned(),
         };
+        let plants = training.plants.as_ref();
         let maneuver = config.gains_name();
         Ok(Self {
             maneuver,
-            law: config.law.name,
+            law: config.law.name.clone(),
             parameters: training.gains.clone(),
             provenance,
-            vehicle: config.vehicle,
+            fastest_mps: plants.and_then(|it| Some(it.margin.as_ref()?.speed_mps)),
+            config,
             on_bound: training.on_bound.clone(),
-            fragile: training.plants.as_ref().and_then(|it| it.fragile.clone()),
+            fragile: plants.and_then(|it| it.fragile.clone()),
         })
+    }
+
+    /// How much later the steering of a vehicle may act with its gains: at the highest speed of the training's drive, or, if
+    /// that is not known, of the path.
+    fn margin(&self, vehicle: &Vehicle, margin_of: MarginOf) -> Option<Margin> {
+        let config = RunConfig { vehicle: vehicle.clone(), ..self.config.clone() };
+        let set = config.law.parameters_of(&self.parameters).ok()?;
+        let speeds = config.path.speeds_mps.iter().copied();
+        let of_path = speeds.reduce(f64::max).unwrap_or(config.reference.speed_mps);
+        Some(margin_of(&config, &set, self.fastest_mps.unwrap_or(of_path)))
     }
 }
 

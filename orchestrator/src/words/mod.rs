@@ -4,7 +4,7 @@ mod baselines;
 pub(crate) mod comparison;
 pub(crate) mod failure;
 mod laps;
-mod plants;
+pub(crate) mod plants;
 pub(crate) mod tables;
 pub(crate) mod terminal;
 mod training;

@@ -1,7 +1,7 @@
 //! What a set does on plausible plants.
 
 use config::{NamedParameters, RunConfig};
-use outcome::{PlantCheck, PlantDrive};
+use outcome::{Margin, PlantCheck, PlantDrive};
 
 use crate::words::Failure;
 use crate::words::tables::{digits, or_dash, table_of, trim};
@@ -37,6 +37,9 @@ pub(super) fn print(it: &PlantCheck, config: &RunConfig) -> Result<(), Failure> 
             it.compared
         );
     }
+    if let Some(line) = it.margin.as_ref().map(margin) {
+        say!("{line}");
+    }
     say!("{}", verdict(it));
     let fresh = &it.fresh;
     let missing = match fresh.not_arrived {
@@ -70,6 +73,23 @@ pub(super) fn named(set: &NamedParameters) -> String {
     pairs.join(", ")
 }
 
+/// How much later the steering may act, or why that is not known.
+pub(crate) fn margin(it: &Margin) -> String {
+    let Margin { speed_mps, additional_dead_time_s, unknown, .. } = it;
+    match (additional_dead_time_s, unknown) {
+        (_, Some(why)) => why.clone(),
+        (Some(margin_s), None) => format!(
+            "the steering may act {:.0} ms later at {speed_mps:.2} m/s until the loop oscillates (Δ)",
+            1000.0 * margin_s
+        ),
+        (None, None) => {
+            format!(
+                "however late the steering acts at {speed_mps:.2} m/s, the loop does not oscillate (Δ)"
+            )
+        }
+    }
+}
+
 /// Whether the set is fragile, and why.
 pub(crate) fn verdict(it: &PlantCheck) -> String {
     match &it.fragile {
@@ -77,8 +97,13 @@ pub(crate) fn verdict(it: &PlantCheck) -> String {
             "the set is fragile: {why}. It may shake on the car; train with --over default, or take a steadier set"
         ),
         None => {
-            "the set is not fragile: no such plant takes it more than twice as far from the path"
-                .to_owned()
+            let known = it.margin.as_ref().and_then(|it| it.additional_dead_time_s);
+            let and = known.map_or(String::new(), |margin_s| {
+                format!(", and its steering may act {:.0} ms later", 1000.0 * margin_s)
+            });
+            format!(
+                "the set is not fragile: no such plant takes it more than twice as far from the path{and}"
+            )
         }
     }
 }

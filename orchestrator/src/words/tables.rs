@@ -163,6 +163,11 @@ fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
         say!("{table}\n");
     }
     note_off_grid(it.sets.iter().any(|named| named.set.off_grid), it.size)?;
+    if let (Some(check), Some(best)) = (&it.plants, it.best.first()) {
+        say!("best by {}, {}:", config.objective.name, plants::named(&best.gains));
+        plants::print(check, config)?;
+        say!("");
+    }
 
     let by_objective = objective.map(|name| format!("by {name}"));
     let mut columns = vec!["sets of the grid within"];

@@ -1,13 +1,15 @@
 //! What is to be said of gains on a path at a speed: margins, regions, joints, and why there is no certificate.
 
-use config::{Advance, Parameters, RunConfig, VehicleModel};
+use config::{Advance, NamedParameters, Parameters, RunConfig, VehicleModel};
 use serde::{Deserialize, Serialize};
 use tracking::Path;
 
+use crate::margin::is_exact;
 use crate::region::start;
+use crate::simulated_law::SimulatedLaw;
 use crate::{
-    Car, Equilibrium, FRAGILE_BELOW_S, Gains, Intervals, Joint, LateralLoop, Piece, Region,
-    Simulated, joints,
+    Car, Equilibrium, Gains, Intervals, Joint, LateralLoop, LawLoop, Piece, Region, Simulated,
+    joints,
 };
 
 /// Paths with more joints than this are lines through points, whose curvature changes at each: no joint of them is a
@@ -29,7 +31,7 @@ pub struct Subject<'a> {
     config: &'a RunConfig,
     car: Car,
     /// For each manoeuvre that is due, its name and gains.
-    sets: Vec<(String, Gains)>,
+    sets: Vec<(String, Parameters)>,
     /// For each zone, where it begins and its gains.
     zones: Vec<(f64, Gains)>,
     pieces: Vec<Piece>,
@@ -49,15 +51,15 @@ pub struct Extent {
 pub struct SetAtSpeed {
     /// The manoeuvre that the gains are for.
     pub maneuver: String,
-    /// The gains.
-    pub gains: Gains,
-    /// How far the reference runs ahead.
-    pub lead_m: f64,
-    /// The spectral radius of a tick.
-    pub spectral_radius: f64,
-    /// Whether small offsets die out.
-    pub stable: bool,
-    /// The additional dead time Δ; `None` if it is without bound.
+    /// The parameters of the law.
+    pub gains: NamedParameters,
+    /// How far the reference runs ahead; `None` if the law has no steady state.
+    pub lead_m: Option<f64>,
+    /// The spectral radius of a tick; `None` for a law whose loop is not written down.
+    pub spectral_radius: Option<f64>,
+    /// Whether small offsets die out; `None` if nothing is known.
+    pub stable: Option<bool>,
+    /// The additional dead time Δ; `None` if it is without bound, or nothing is known.
     pub additional_dead_time_s: Option<f64>,
     /// Whether Δ is too small.
     pub fragile: bool,
@@ -128,36 +130,22 @@ impl<'a> Subject<'a> {
     /// # Errors
     /// If nothing can be said of the law or of the gains: why.
     pub fn new(config: &'a RunConfig, sets: &[Parameters]) -> Result<Self, String> {
-        if config.law.name != "paper" {
-            return Err(format!(
-                "no certificate for the law {}: the loop is written down for the paper's law alone",
-                config.law.name
-            ));
-        }
-        let late = config.vehicle.steering_delay_s > 0.0 || config.vehicle.steering_lag_s > 0.0;
-        if late && config.controller.compensate_dead_time {
-            return Err(
-                "no certificate for a law that compensates dead time (controller.compensate_dead_time): its loop is \
-                 another one"
-                    .to_owned(),
-            );
-        }
         let due = config.maneuvers_due();
-        let all: Vec<Gains> = sets.iter().map(Gains::new).collect();
-        if let Some(still) = all.iter().find(|it| it.kv <= 0.0) {
+        let is_exact = is_exact(config);
+        if let Some(still) = sets.iter().map(Gains::new).find(|it| is_exact && it.kv <= 0.0) {
             return Err(format!("the gains have kv = {}: such a car does not drive", still.kv));
         }
-        let sets: Vec<(String, Gains)> = match all[..] {
+        let by_zone = if sets.len() == 1 { sets.to_vec() } else { config.sets_by_zone(sets) };
+        let sets: Vec<(String, Parameters)> = match *sets {
             [one] => vec![(config.maneuver.clone(), one)],
-            _ => due.iter().map(|it| (*it).to_owned()).zip(all).collect(),
+            _ => due.iter().map(|it| (*it).to_owned()).zip(sets.iter().copied()).collect(),
         };
-        let by_zone = config.sets_by_zone(&sets_of(&sets));
         let zones = &config.path.zones;
         let zones = zones.iter().map(|it| it.from_m).zip(by_zone.iter().map(Gains::new)).collect();
         let mut subject =
             Self { config, car: Car::new(config), sets, zones, pieces: pieces(config) };
         if let [(_, one)] = subject.sets[..] {
-            subject.zones = vec![(0.0, one)];
+            subject.zones = vec![(0.0, Gains::new(&one))];
         }
         Ok(subject)
     }
@@ -171,6 +159,19 @@ impl<'a> Subject<'a> {
     pub fn uncertain(&self) -> Option<String> {
         let vehicle = &self.config.vehicle;
         let says = |what: &str| Some(format!("no certificate: {what}"));
+        let law = &self.config.law.name;
+        if law != "paper" {
+            return Some(format!(
+                "no certificate for the law {law}: the loop is written down for the paper's law alone; Δ is that of the law \
+                 as it drives"
+            ));
+        }
+        if !is_exact(self.config) {
+            return says(
+                "the law compensates dead time (controller.compensate_dead_time), which makes another loop of it; Δ is that \
+                 of the law as it drives",
+            );
+        }
         if self.config.reference.advance == Advance::Projection {
             return says("the reference follows the car (reference.advance)");
         }
@@ -204,9 +205,9 @@ impl<'a> Subject<'a> {
         let sets = self
             .sets
             .iter()
-            .map(|(maneuver, gains)| self.set_at(maneuver, gains, speed_mps, &mut regions));
+            .map(|(maneuver, set)| self.set_at(maneuver, set, speed_mps, &mut regions));
         let sets: Vec<SetAtSpeed> = sets.collect();
-        let may_drive = sets.iter().all(|it| it.stable) && self.uncertain().is_none();
+        let may_drive = sets.iter().all(|it| it.stable == Some(true)) && self.uncertain().is_none();
         let (mut seen, mut share) = (Vec::new(), None);
         if may_drive && self.passed_over() == 0 {
             let way = joints(&self.car, &self.pieces, speed_mps, |along_m| self.gains_at(along_m));
@@ -220,10 +221,14 @@ impl<'a> Subject<'a> {
     fn set_at(
         &self,
         maneuver: &str,
-        gains: &Gains,
+        set: &Parameters,
         speed_mps: f64,
         regions: &mut Vec<Certified>,
     ) -> SetAtSpeed {
+        if !is_exact(self.config) {
+            return self.driven_at(maneuver, set, speed_mps);
+        }
+        let gains = &Gains::new(set);
         let lead_m = match self.config.reference.advance {
             Advance::Time => speed_mps / gains.kv,
             Advance::Projection => self.config.reference.lookahead_m,
@@ -257,13 +262,42 @@ impl<'a> Subject<'a> {
         }
         SetAtSpeed {
             maneuver: maneuver.to_owned(),
-            gains: *gains,
-            lead_m,
-            spectral_radius,
-            stable,
+            gains: self.config.law.named(set),
+            lead_m: Some(lead_m),
+            spectral_radius: Some(spectral_radius),
+            stable: Some(stable),
             additional_dead_time_s: margin_s.is_finite().then_some(margin_s),
-            fragile: margin_s < FRAGILE_BELOW_S,
+            fragile: margin_s < self.config.over.fragile_below_s,
             certified,
+            no_certificate,
+            simulated,
+        }
+    }
+
+    /// What the law as it drives says of a set, where its loop is not written down.
+    fn driven_at(&self, maneuver: &str, set: &Parameters, speed_mps: f64) -> SetAtSpeed {
+        let known = LawLoop::new(self.config, set, speed_mps);
+        let stable = known.as_ref().ok().map(LawLoop::is_stable);
+        let margin_s = known.as_ref().ok().map(LawLoop::additional_dead_time_s);
+        let lead_m = known.as_ref().ok().map(LawLoop::lead_m);
+        let simulated = lead_m.filter(|_| stable == Some(true)).and_then(|lead_m| {
+            let simulation = SimulatedLaw::new(self.config, set, speed_mps, lead_m);
+            simulation.extent(SEED).map(|it| self.extent(it))
+        });
+        let no_certificate = match (known, stable) {
+            (Err(why), _) => Some(why),
+            (_, Some(false)) => Some("no certificate: the loop is unstable".to_owned()),
+            _ => self.uncertain(),
+        };
+        SetAtSpeed {
+            maneuver: maneuver.to_owned(),
+            gains: self.config.law.named(set),
+            lead_m,
+            spectral_radius: None,
+            stable,
+            additional_dead_time_s: margin_s.filter(|it| it.is_finite()),
+            fragile: margin_s.is_some_and(|it| it < self.config.over.fragile_below_s),
+            certified: None,
             no_certificate,
             simulated,
         }
@@ -276,7 +310,8 @@ impl<'a> Subject<'a> {
         regions: &mut Vec<Certified>,
     ) -> JointAtSpeed {
         let gains = &joint.gains;
-        let name = self.sets.iter().find(|(_, it)| it == gains).map_or("", |(name, _)| name);
+        let is_it = |set: &Parameters| Gains::new(set) == *gains;
+        let name = self.sets.iter().find(|(_, it)| is_it(it)).map_or("", |(name, _)| name);
         let found = Equilibrium::new(&self.car, gains, speed_mps, joint.curvatures[1])
             .and_then(|at| Some((at, self.region(name, gains, &at, regions)?)));
         let (value, simulated_value) = match &found {
@@ -313,10 +348,6 @@ impl<'a> Subject<'a> {
         let [offset_m, heading_rad] = start(&self.car);
         Extent { offset_m: share * offset_m, heading_rad: share * heading_rad }
     }
-}
-
-fn sets_of(sets: &[(String, Gains)]) -> Vec<Parameters> {
-    sets.iter().map(|(_, it)| Parameters::of(&[it.kv, it.kl, it.ks, it.ki])).collect()
 }
 
 /// The pieces of a path between its joints.

@@ -29,9 +29,17 @@ pub struct LateralLoop {
     gains: Gains,
     tick_s: f64,
     lead_m: f64,
-    parts: Vec<Step>,
+    wheels: Wheels,
     /// The length of the state; see [`LateralLoop::step`].
     order: usize,
+}
+
+/// What stands between the steering command and what the law sees, for small offsets: dead time, lag, and the car.
+#[derive(Debug, Clone)]
+pub(crate) struct Wheels {
+    parts: Vec<Step>,
+    /// The yaw rate per angle of the wheels.
+    yaw_rate: f64,
 }
 
 /// One part of a tick, linear in (y, θ, δ) and the command that acts in it.
@@ -60,11 +68,9 @@ impl Step {
     }
 }
 
-impl LateralLoop {
-    /// The loop at a speed, with the lead that the reference has at it.
-    pub fn new(car: &Car, gains: &Gains, speed_mps: f64, lead_m: f64) -> Self {
-        let parts = parts_of_tick([car.steering_delay_s], car.tick_s);
-        let order = 3 + parts.iter().map(|part| part.ago[0]).max().unwrap_or(0).max(1);
+impl Wheels {
+    /// Those of a car at a speed.
+    pub(crate) fn new(car: &Car, speed_mps: f64) -> Self {
         let step = |part: Part<1>| {
             let h = part.length_s;
             let (v, wheelbase) = (speed_mps, car.wheelbase_m);
@@ -80,8 +86,37 @@ impl LateralLoop {
                 shift: h * v * car.tracked_point_m / wheelbase + h * h * v * v / (2.0 * wheelbase),
             }
         };
+        let parts = parts_of_tick([car.steering_delay_s], car.tick_s);
         let parts = parts.into_iter().map(step).collect();
-        Self { gains: *gains, tick_s: car.tick_s, lead_m, parts, order }
+        Self { parts, yaw_rate: speed_mps / car.wheelbase_m }
+    }
+
+    /// How offset, heading and yaw rate answer to the command, at a point z of which `turned` gives the powers.
+    pub(crate) fn answer(&self, turned: impl Fn(f64) -> Complex<f64>) -> [Complex<f64>; 3] {
+        let z = turned(1.0);
+        // One tick of the car: its state times a triangular matrix, and what a command of size 1 at this point adds.
+        let zero = Complex::new(0.0, 0.0);
+        let mut added = [zero; 3];
+        let mut by_heading = [0.0, 1.0, 0.0];
+        let mut by_wheel = [0.0, 0.0, 1.0];
+        for step in &self.parts {
+            added = step.apply(added, turned(-(step.part.ago[0] as f64)));
+            by_heading = step.apply(by_heading, 0.0);
+            by_wheel = step.apply(by_wheel, 0.0);
+        }
+        let wheel = added[2] / (z - by_wheel[2]);
+        let heading = (added[1] + wheel * by_wheel[1]) / (z - 1.0);
+        let offset = (added[0] + wheel * by_wheel[0] + heading * by_heading[0]) / (z - 1.0);
+        [offset, heading, wheel * self.yaw_rate]
+    }
+}
+
+impl LateralLoop {
+    /// The loop at a speed, with the lead that the reference has at it.
+    pub fn new(car: &Car, gains: &Gains, speed_mps: f64, lead_m: f64) -> Self {
+        let wheels = Wheels::new(car, speed_mps);
+        let order = 3 + wheels.parts.iter().map(|it| it.part.ago[0]).max().unwrap_or(0).max(1);
+        Self { gains: *gains, tick_s: car.tick_s, lead_m, wheels, order }
     }
 
     /// The loop at a steady speed behind a reference that runs with time: the lead is v/Kv.
@@ -104,7 +139,7 @@ impl LateralLoop {
         let rate = -kl * state[0] - (ks + kl * self.lead_m) * state[1];
         let command = ki * state[3] + ki * self.tick_s * rate;
         let mut car = [state[0], state[1], state[2]];
-        for step in &self.parts {
+        for step in &self.wheels.parts {
             let acting = match step.part.ago[0] {
                 0 => command,
                 ago => state[2 + ago],
@@ -139,20 +174,7 @@ impl LateralLoop {
         let Gains { kl, ks, ki, .. } = self.gains;
         let angle = frequency_radps * self.tick_s;
         let turned = |ticks: f64| Complex::new(libm::cos(ticks * angle), libm::sin(ticks * angle));
-        let z = turned(1.0);
-        // One tick of the car: its state times a triangular matrix, and what a command of size 1 at this frequency adds.
-        let zero = Complex::new(0.0, 0.0);
-        let mut added = [zero; 3];
-        let mut by_heading = [0.0, 1.0, 0.0];
-        let mut by_wheel = [0.0, 0.0, 1.0];
-        for step in &self.parts {
-            added = step.apply(added, turned(-(step.part.ago[0] as f64)));
-            by_heading = step.apply(by_heading, 0.0);
-            by_wheel = step.apply(by_wheel, 0.0);
-        }
-        let wheel = added[2] / (z - by_wheel[2]);
-        let heading = (added[1] + wheel * by_wheel[1]) / (z - 1.0);
-        let offset = (added[0] + wheel * by_wheel[0] + heading * by_heading[0]) / (z - 1.0);
+        let [offset, heading, _] = self.wheels.answer(turned);
         let filter =
             Complex::new(ki * self.tick_s, 0.0) / (Complex::new(1.0, 0.0) - turned(-1.0) * ki);
         filter * (offset * kl + heading * (ks + kl * self.lead_m))
@@ -164,31 +186,36 @@ impl LateralLoop {
         if !self.is_stable() {
             return 0.0;
         }
-        const SLOWEST_RADPS: f64 = 1e-3;
-        const POINTS: usize = 800;
-        let fastest_radps = PI / self.tick_s;
-        let ratio = libm::pow(fastest_radps / SLOWEST_RADPS, 1.0 / POINTS as f64);
-        let above = |frequency: f64| self.open_loop(frequency).norm_sqr() > 1.0;
-        let mut least_s = f64::INFINITY;
-        let mut low = SLOWEST_RADPS;
-        let mut low_is_above = above(low);
-        for point in 1..=POINTS {
-            let high = if point == POINTS { fastest_radps } else { low * ratio };
-            let high_is_above = above(high);
-            if high_is_above != low_is_above {
-                let (mut from, mut to) = (low, high);
-                for _ in 0..50 {
-                    let middle = 0.5 * (from + to);
-                    if above(middle) == low_is_above { from = middle } else { to = middle }
-                }
-                let crossing = 0.5 * (from + to);
-                let answer = self.open_loop(crossing);
-                let phase = libm::atan2(answer.im, answer.re) + PI;
-                let phase = if phase >= TAU { phase - TAU } else { phase };
-                least_s = least_s.min(phase / crossing);
-            }
-            (low, low_is_above) = (high, high_is_above);
-        }
-        least_s
+        least_delay_s(self.tick_s, |frequency| self.open_loop(frequency))
     }
+}
+
+/// The least additional dead time that takes a stable loop to the edge of stability, by its open loop at a frequency.
+pub(crate) fn least_delay_s(tick_s: f64, open_loop: impl Fn(f64) -> Complex<f64>) -> f64 {
+    const SLOWEST_RADPS: f64 = 1e-3;
+    const POINTS: usize = 800;
+    let fastest_radps = PI / tick_s;
+    let ratio = libm::pow(fastest_radps / SLOWEST_RADPS, 1.0 / POINTS as f64);
+    let above = |frequency: f64| open_loop(frequency).norm_sqr() > 1.0;
+    let mut least_s = f64::INFINITY;
+    let mut low = SLOWEST_RADPS;
+    let mut low_is_above = above(low);
+    for point in 1..=POINTS {
+        let high = if point == POINTS { fastest_radps } else { low * ratio };
+        let high_is_above = above(high);
+        if high_is_above != low_is_above {
+            let (mut from, mut to) = (low, high);
+            for _ in 0..50 {
+                let middle = 0.5 * (from + to);
+                if above(middle) == low_is_above { from = middle } else { to = middle }
+            }
+            let crossing = 0.5 * (from + to);
+            let answer = open_loop(crossing);
+            let phase = libm::atan2(answer.im, answer.re) + PI;
+            let phase = if phase >= TAU { phase - TAU } else { phase };
+            least_s = least_s.min(phase / crossing);
+        }
+        (low, low_is_above) = (high, high_is_above);
+    }
+    least_s
 }

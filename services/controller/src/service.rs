@@ -1,7 +1,7 @@
 //! The controller's process: odometry in, raw commands out, and a report at the end of a batch.
 
 use anyhow::Result;
-use config::{LawConfig, MAX_FLEET, Parameters, RunConfig};
+use config::{LawConfig, MAX_FLEET, Parameters, PerPlant, RunConfig};
 use ipc_types::{
     Attempt, BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, KeptLawState, LawState,
     Odometry, RawCommand, Safety, TickHeader, TrackingError, WakeRole, WirePose, Zone, has,
@@ -40,8 +40,9 @@ struct Controller {
     run: u64,
     /// The law's bounds for its parameters: those that come from other processes are checked against them.
     law: LawConfig,
+    config: RunConfig,
     /// A drive at its first tick, to be copied into new slots.
-    fresh: DriveController,
+    fresh: PerPlant<DriveController>,
     /// The requests, one for each slot; kept apart, because no tick reads them.
     requested: Vec<DriveRequest>,
     slots: Vec<Slot>,
@@ -143,9 +144,10 @@ impl Controller {
             errors: bus.outlet()?,
             reports: bus.outlet()?,
             run,
-            fresh: DriveController::new(&config),
+            fresh: PerPlant::new(DriveController::new(&config)),
             roll_out: RollOut::new(&config),
-            law: config.law,
+            law: config.law.clone(),
+            config,
             requested: Vec::new(),
             slots: Vec::new(),
             held: None,
@@ -172,7 +174,11 @@ impl Controller {
         self.requested = requests.to_vec();
         self.kept.clear();
         self.slots.clear();
-        self.slots.extend(requests.iter().map(|request| Slot::new(&self.fresh, request)));
+        let Self { fresh, slots, config, .. } = self;
+        slots.extend(requests.iter().map(|request| {
+            let of = fresh.of(config, request.plant, DriveController::new);
+            Slot::new(of, request)
+        }));
         self.real_time = requests.iter().any(|it| has(it.flags, DriveRequest::REAL_TIME));
         if self.real_time && header.sent_ns < self.started_ns {
             for slot in &mut self.slots {

@@ -6,7 +6,7 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Measures, ParameterTable};
+use crate::{Measures, ParameterTable, PlantCheck};
 
 /// The result of a sweep of the grid; `grid.csv` holds every set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -27,6 +27,10 @@ pub struct GridResult {
     pub sets: Vec<NamedSet>,
     /// How many sets lie near the best one.
     pub flatness: Vec<Flatness>,
+    /// What the best set by the objective does on plausible plants, and whether it is fragile; null with a vehicle that is
+    /// not our simulator, and in results of earlier versions.
+    #[serde(default)]
+    pub plants: Option<Box<PlantCheck>>,
     /// What each parameter alone explains, by its name.
     pub main_effects: BTreeMap<String, MainEffect>,
 }

@@ -15,8 +15,11 @@ pub struct PlantCheck {
     /// The largest value of the objective on a plant.
     pub worst_value: f64,
     /// Why the set is fragile: a plant more than doubles its mean distance from the path, beyond 0.1 m for a car of full
-    /// size, or makes it not arrive. Null if it is not.
+    /// size, or makes it not arrive, or its additional dead time is too small. Null if it is not.
     pub fragile: Option<String>,
+    /// How much later the steering may act. Null in results of earlier versions.
+    #[serde(default)]
+    pub margin: Option<Margin>,
     /// Each plant, in the order of the configuration.
     pub plants: Vec<PlantDrive>,
     /// With how many of the nominally best sets it is compared.
@@ -31,6 +34,38 @@ impl PlantCheck {
     /// The plant with the largest value of the objective.
     pub fn worst(&self) -> Option<&PlantDrive> {
         self.plants.iter().max_by(|a, b| a.value.total_cmp(&b.value))
+    }
+}
+
+/// How much later than the vehicle's file says the steering may act until the loop oscillates: the additional dead time Δ,
+/// at the highest speed of the drive without noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Margin {
+    /// That speed.
+    pub speed_mps: f64,
+    /// Δ: 0 if the loop is unstable; null if it has no bound, or nothing is known of it.
+    pub additional_dead_time_s: Option<f64>,
+    /// Below this a set is fragile.
+    pub fragile_below_s: f64,
+    /// Why nothing is known of it; null if something is.
+    pub unknown: Option<String>,
+}
+
+impl Margin {
+    /// Why a set with this margin is fragile, if it is.
+    pub fn why_fragile(&self) -> Option<String> {
+        let Self { speed_mps, additional_dead_time_s, fragile_below_s, .. } = *self;
+        let margin_s = additional_dead_time_s.filter(|it| *it < fragile_below_s)?;
+        Some(match margin_s {
+            0.0 => format!(
+                "at {speed_mps:.2} m/s its loop is unstable with the vehicle's dead time and lag"
+            ),
+            _ => format!(
+                "at {speed_mps:.2} m/s the steering may act only {:.0} ms later until the loop oscillates, less than {:.0} ms",
+                1000.0 * margin_s,
+                1000.0 * fragile_below_s
+            ),
+        })
     }
 }
 

@@ -48,7 +48,7 @@ pub(crate) fn section(beside: &Baselines, train: &TrainResult, config: &RunConfi
     }
 }
 
-fn name_of(set: &Baseline) -> String {
+pub(crate) fn name_of(set: &Baseline) -> String {
     let compensated = match set.compensated {
         None => "",
         Some(true) => ", dead time compensated",

@@ -58,6 +58,9 @@ pub(crate) fn sections(
     config: &RunConfig,
 ) -> Result<(), ReportError> {
     page.section("Best sets", best_sets(grid, config));
+    if let Some(check) = &grid.plants {
+        page.section("The best set on plants like this car", crate::plants::section(check, config));
+    }
     let figures = match sets {
         Some(sets) => Some(sorted(page, grid, sets, config)?),
         None => None,

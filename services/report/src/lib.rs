@@ -27,6 +27,7 @@ mod study;
 mod switches;
 mod train;
 mod validate;
+mod verdict;
 
 use std::fs;
 use std::io::{self, Write};
@@ -105,7 +106,8 @@ fn page_of(
     match &result.decided.outcome {
         Outcome::Train(train) => {
             let episodes = episodes::read(run, train.learners.len())?;
-            train::sections(&mut page, train, result, episodes.as_deref(), config)?;
+            let folder = called(run);
+            train::sections(&mut page, train, result, episodes.as_deref(), config, &folder)?;
         }
         Outcome::Validate(validate) => validate::sections(&mut page, validate, config),
         Outcome::Grid(grid) => {
@@ -117,6 +119,17 @@ fn page_of(
     laps::section(&mut page, result.decided.outcome.laps());
     figures::sections(&mut page, &drives, config)?;
     Ok(page.finish(text))
+}
+
+/// What commands may call the folder of a run: by its name, below `runs` if it lies in such a folder.
+fn called(run: &Path) -> String {
+    let name = |path: &Path| path.file_name().map(|it| it.to_string_lossy().into_owned());
+    let run = fs::canonicalize(run).unwrap_or_else(|_| run.to_owned());
+    let own = name(&run).unwrap_or_else(|| "RUN".to_owned());
+    match run.parent().and_then(name) {
+        Some(parent) if parent == "runs" => format!("runs/{own}"),
+        _ => own,
+    }
 }
 
 /// Writes a file under another name, and then renames it, so that nobody reads half of it.

@@ -2,7 +2,7 @@
 
 use config::RunConfig;
 use maud::{Markup, html};
-use outcome::PlantCheck;
+use outcome::{Margin, PlantCheck};
 
 use crate::axis::number;
 use crate::page::{parameters_text, table};
@@ -18,6 +18,9 @@ pub(crate) fn section(it: &PlantCheck, config: &RunConfig) -> Markup {
                 None => {
                     "The set is " b { "not fragile" } ": no such plant takes it more than twice as far from the path."
                 }
+            }
+            @if let Some(margin) = &it.margin {
+                " " (late(margin))
             }
         }
         (table(
@@ -55,6 +58,22 @@ pub(crate) fn section(it: &PlantCheck, config: &RunConfig) -> Markup {
                 "Steadier over these plants: " (parameters_text(&config.law, &other.gains)) ", at worst " (number(other.worst_value, 4))
                 " instead of " (number(it.worst_value, 4)) ", and " (number(other.value, 4)) " with the vehicle’s file."
             }
+        }
+    }
+}
+
+/// How much later the steering may act, or why that is not known.
+fn late(it: &Margin) -> String {
+    match (it.additional_dead_time_s, &it.unknown) {
+        (_, Some(why)) => format!("Additional dead time: {why}."),
+        (Some(margin_s), None) => format!(
+            "Additional dead time Δ at {:.2} m/s, the highest speed of the drive: {:.0} ms; below {:.0} ms a set is fragile.",
+            it.speed_mps,
+            1000.0 * margin_s,
+            1000.0 * it.fragile_below_s
+        ),
+        (None, None) => {
+            format!("Additional dead time Δ at {:.2} m/s: without bound.", it.speed_mps)
         }
     }
 }

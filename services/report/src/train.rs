@@ -20,6 +20,7 @@ use crate::page::{
 use crate::panels::{Interval, Panel, Shown, intervals, panels};
 use crate::plants;
 use crate::standings::{Ranks, Row, objective_title, standings};
+use crate::verdict;
 
 /// Up to this many episodes, each has a marker; more markers would hide the line.
 const MOST_MARKERS: usize = 60;
@@ -27,13 +28,16 @@ const MOST_MARKERS: usize = 60;
 const MOST_LINES: usize = 30;
 
 /// Adds the sections of a training to the page. `episodes` are those of each learner; `None` if the run left no file.
+/// Commands may call the run's folder `folder`.
 pub(crate) fn sections(
     page: &mut Page,
     train: &TrainResult,
     run: &RunResult,
     episodes: Option<&[Vec<Episode>]>,
     config: &RunConfig,
+    folder: &str,
 ) -> Result<(), ReportError> {
+    page.section("Verdict", verdict::section(train, run, config, folder));
     page.section("Result", result(train, run, episodes, config));
     if let Some(beside) = &train.baselines {
         page.section("Beside textbook sets", baselines::section(beside, train, config));

@@ -7,7 +7,7 @@ mod by_the_clock;
 mod lockstep;
 
 use anyhow::Result;
-use config::{MAX_FLEET, RunConfig};
+use config::{MAX_FLEET, PerPlant, RunConfig};
 use ipc_types::{
     Attempt, BatchHeader, Command, DriveRequest, KeptLawState, LawState, Odometry, RawCommand,
     Rearm, Safety, TickHeader, WakeRole, WirePose, Zone, has,
@@ -50,7 +50,8 @@ struct Supervisor {
     answer_age_limit_ns: u64,
     started_ns: u64,
     /// A tracker and a pace at the start of the path, and a watch over a vehicle at rest, to be copied into new slots.
-    fresh: (ZoneTracker, Pace, Watch),
+    fresh: PerPlant<Fresh>,
+    config: RunConfig,
     slots: Vec<Slot>,
     /// Zones that begin with the next tick.
     entered: Vec<Zone>,
@@ -62,6 +63,24 @@ struct Supervisor {
     /// The additional state of a batch in real time.
     clocked: Option<Clocked>,
     counters: Counters,
+}
+
+/// What a slot begins with.
+#[derive(Clone)]
+struct Fresh {
+    tracker: ZoneTracker,
+    pace: Pace,
+    watch: Watch,
+}
+
+impl Fresh {
+    fn new(config: &RunConfig) -> Self {
+        Self {
+            tracker: ZoneTracker::new(config),
+            pace: Pace::new(config),
+            watch: Watch::new(config),
+        }
+    }
 }
 
 struct Slot {
@@ -97,7 +116,8 @@ impl Supervisor {
             reference: Reference::new(config),
             answer_age_limit_ns: (config.vehicle.safety.answer_age_limit_s * 1e9) as u64,
             started_ns,
-            fresh: (ZoneTracker::new(config), Pace::new(config), Watch::new(config)),
+            fresh: PerPlant::new(Fresh::new(config)),
+            config: config.clone(),
             slots: Vec::new(),
             entered: Vec::new(),
             batch: BatchHeader { attempt: Attempt::between_batches(run), ..BatchHeader::default() },
@@ -115,21 +135,26 @@ impl Supervisor {
             self.counters.dropped += 1;
             return;
         }
-        self.slots.extend(requests.iter().map(|request| Slot {
-            tracker: self.fresh.0.clone(),
-            pace: self.fresh.1.clone(),
-            watch: self.fresh.2.clone(),
-            measured: Pose {
-                x_m: request.start.x_m,
-                y_m: request.start.y_m,
-                yaw_rad: request.start.yaw_rad,
-            },
-            speed_mps: 0.0,
-            zone: 0,
-            raw: RawCommand::default(),
-            raw_tick: 0,
-            told_rate: 1.0,
-            ended: false,
+        let Self { fresh, slots, config, .. } = self;
+        slots.extend(requests.iter().map(|request| {
+            let Fresh { tracker, pace, watch } =
+                fresh.of(config, request.plant, Fresh::new).clone();
+            Slot {
+                tracker,
+                pace,
+                watch,
+                measured: Pose {
+                    x_m: request.start.x_m,
+                    y_m: request.start.y_m,
+                    yaw_rad: request.start.yaw_rad,
+                },
+                speed_mps: 0.0,
+                zone: 0,
+                raw: RawCommand::default(),
+                raw_tick: 0,
+                told_rate: 1.0,
+                ended: false,
+            }
         }));
         self.batch = header;
         if requests.iter().any(|request| has(request.flags, DriveRequest::REAL_TIME)) {

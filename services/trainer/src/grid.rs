@@ -6,11 +6,14 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use config::{ConfigError, Parameters, RunConfig, SweepPlan};
-use outcome::{Flatness, GridResult, MainEffect, Measures, NamedSet, RankedSet, ValueMean};
+use outcome::{
+    Flatness, GridResult, MainEffect, Measures, NamedSet, PlantCheck, RankedSet, ValueMean,
+};
 use tracking::DriveRecord;
 
 use crate::Ranking;
 use crate::digest::digest_of_drives;
+use crate::plants::{ALTERNATIVES, check};
 use crate::result::on_bound;
 use crate::statistics::mean;
 use crate::sweep::PlannedDrive;
@@ -25,6 +28,8 @@ pub struct GridSweep {
     config: RunConfig,
     /// Sets to rank among those of the grid, each with its name.
     named: Vec<(&'static str, Parameters)>,
+    /// Whether our simulator drives them: then the best of them is driven on plausible plants.
+    simulated: bool,
 }
 
 /// Length of each list of the best sets.
@@ -42,11 +47,15 @@ impl GridSweep {
     ///
     /// # Errors
     /// If the plan's sets are not of the configuration's law.
-    pub fn new(config: &RunConfig, plan: &SweepPlan) -> Result<Self, ConfigError> {
+    pub fn new(config: &RunConfig, plan: &SweepPlan, simulated: bool) -> Result<Self, ConfigError> {
         let paper = config.paper_set().map(|set| ("paper", set));
         let sets = plan.parameters(&config.law)?;
         let yours = sets.iter().map(|sets| ("yours", sets[0]));
-        Ok(Self { config: config.clone(), named: paper.into_iter().chain(yours).collect() })
+        Ok(Self {
+            config: config.clone(),
+            named: paper.into_iter().chain(yours).collect(),
+            simulated,
+        })
     }
 
     /// The drives: every set of the grid in its order, then the named ones.
@@ -103,6 +112,7 @@ impl GridSweep {
                 })
                 .to_vec(),
             // Only in a whole grid does each value of a parameter occur with all values of the others.
+            plants: self.plants(&ranking),
             main_effects: if size == ranking.len() {
                 main_effects(&self.config, measures)
             } else {
@@ -113,6 +123,12 @@ impl GridSweep {
 
     /// The best sets by the first measure; ties go to the second, then to the lower number.
     fn best(&self, ranking: &Ranking, by: [Measure; 2]) -> Vec<RankedSet> {
+        let best = self.order(ranking, by).into_iter().take(BEST);
+        best.map(|set| self.ranked(ranking, &set, &ranking.drive(&set))).collect()
+    }
+
+    /// The sets that were driven, the best by the first measure first.
+    fn order(&self, ranking: &Ranking, by: [Measure; 2]) -> Vec<Parameters> {
         let (grid, measures) = (ranking.grid(), ranking.measures());
         let mut order: Vec<usize> =
             (0..measures.len()).filter(|set| was_driven(&measures[*set])).collect();
@@ -120,8 +136,15 @@ impl GridSweep {
             let compared = by.map(|by| by(&measures[a]).total_cmp(&by(&measures[b])));
             compared[0].then(compared[1]).then(a.cmp(&b))
         });
-        let best = order.into_iter().take(BEST).map(|index| grid.set(grid.position(index)));
-        best.map(|set| self.ranked(ranking, &set, &ranking.drive(&set))).collect()
+        order.into_iter().map(|index| grid.set(grid.position(index))).collect()
+    }
+
+    /// What the best set does on plausible plants, beside those that are nominally about as good.
+    fn plants(&self, ranking: &Ranking) -> Option<Box<PlantCheck>> {
+        let mut near = self.order(ranking, [VALUE, MSE]);
+        near.truncate(ALTERNATIVES);
+        let best = *near.first().filter(|_| self.simulated)?;
+        Some(Box::new(check(&self.config, ranking.objective(), &best, near)))
     }
 
     fn ranked(&self, ranking: &Ranking, set: &Parameters, drive: &DriveRecord) -> RankedSet {

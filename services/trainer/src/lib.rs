@@ -52,6 +52,7 @@ mod wire;
 pub use digest::digest;
 pub use grid::{GRID_FILE, GridSweep};
 pub use own_drives::OwnDrives;
+pub use plants::margin;
 pub use ranking::{Ranking, grid_is_driven, objective_of};
 pub use recording::Row;
 pub use result::{Choice, train_result};

@@ -1,7 +1,7 @@
 //! Drives over several plants: how they are judged together, and whether a set is fragile.
 
 use config::{OverBy, Parameters, PlantChange, RunConfig};
-use outcome::{Alternative, FreshPlants, PlantCheck, PlantDrive};
+use outcome::{Alternative, FreshPlants, Margin, PlantCheck, PlantDrive};
 use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
@@ -38,7 +38,7 @@ impl PlantRollouts {
 
 /// The loop around a plant: what drives it believes in the vehicle's file.
 fn on_plant(config: &RunConfig, change: &PlantChange) -> Rollout {
-    Rollout::on_plant(config, &config.with_plant(change))
+    Rollout::on_plant(&config.driving_plant(change), &config.with_plant(change))
 }
 
 /// How the drives of a set on several plants become one.
@@ -86,16 +86,20 @@ const FRESH: usize = 48;
 const FRESH_STREAM: u64 = 0x0066_7265_7368;
 
 /// What a set does on the plants of the configuration, beside sets that are nominally about as good. `near` are these
-/// sets, the nominally best first; they may contain the set itself.
+/// sets, the nominally best first; they may contain the set itself. Where drives are long, they are left out.
 pub(crate) fn check(
     config: &RunConfig,
     objective: &Objective,
     set: &Parameters,
-    near: &[Parameters],
+    mut near: Vec<Parameters>,
 ) -> PlantCheck {
     let mut nominal = config.clone();
     nominal.over = config::Over { by: OverBy::Nominal, ..config.over.clone() };
     let changes = nominal.plant_changes();
+    let ticks = config.ticks() * (near.len() * changes.len()) as u64;
+    if ticks > config.ranking.max_ticks {
+        near.clear();
+    }
     let mut rollouts: Vec<Rollout> = changes.iter().map(|it| on_plant(&nominal, it)).collect();
     let mut drive_all = |set: &Parameters| -> Vec<DriveRecord> {
         rollouts.iter_mut().map(|rollout| rollout.drive(*set, None)).collect()
@@ -106,7 +110,11 @@ pub(crate) fn check(
     let others: Vec<(Parameters, Vec<f64>)> =
         near.iter().filter(|it| *it != set).map(|it| (*it, values_of(&drive_all(it)))).collect();
     let values = values_of(&chosen);
-    let plain = Rollout::new(&nominal).drive(*set, None);
+    let mut fastest_mps = 0.0_f64;
+    let plain = Rollout::new(&nominal).drive_with(*set, None, |_, tick| {
+        fastest_mps = fastest_mps.max(tick.observation.speed_mps);
+    });
+    let margin = margin(config, set, fastest_mps);
     let plants: Vec<PlantDrive> = changes
         .iter()
         .zip(&chosen)
@@ -125,7 +133,9 @@ pub(crate) fn check(
         .collect();
     let floor_m = FLOOR_M * config.vehicle.wheelbase_m / FULL_SIZE_M;
     let is_to_arrive = config.is_to_arrive();
-    let fragile = plants.iter().find_map(|plant| why_fragile(plant, &plain, floor_m, is_to_arrive));
+    let by_plants =
+        plants.iter().find_map(|plant| why_fragile(plant, &plain, floor_m, is_to_arrive));
+    let reasons: Vec<String> = by_plants.into_iter().chain(margin.why_fragile()).collect();
     let worst = |of: &[f64]| of.iter().copied().fold(0.0, f64::max);
     let calmest = others
         .iter()
@@ -140,11 +150,23 @@ pub(crate) fn check(
     PlantCheck {
         path_mean_m: plain.path_mean_m,
         worst_value: worst(&values),
-        fragile,
+        fragile: (!reasons.is_empty()).then(|| reasons.join("; and ")),
+        margin: Some(margin),
         compared: others.len(),
         fresh: fresh(&nominal, &changes, set),
         alternative,
         plants,
+    }
+}
+
+/// How much later the steering may act at a speed, with the vehicle as its file has it.
+pub fn margin(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Margin {
+    let known = certificate::additional_dead_time_s(config, set, speed_mps);
+    Margin {
+        speed_mps,
+        additional_dead_time_s: known.as_ref().ok().copied().filter(|it| it.is_finite()),
+        fragile_below_s: config.over.fragile_below_s,
+        unknown: known.err(),
     }
 }
 

@@ -121,13 +121,8 @@ fn plant_check(
     };
     near.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| by_values(&a.1, &b.1)));
     near.truncate(ALTERNATIVES);
-    // Where drives are long, the set alone.
-    let ticks = config.ticks() * (ALTERNATIVES * config.plant_changes().len()) as u64;
-    if ticks > config.ranking.max_ticks {
-        near.clear();
-    }
     let near: Vec<Parameters> = near.into_iter().map(|(_, set)| set).collect();
-    check(config, ranking.objective(), set, &near)
+    check(config, ranking.objective(), set, near)
 }
 
 /// Names of the parameters that lie on a bound of the grid.

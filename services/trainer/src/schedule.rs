@@ -91,9 +91,10 @@ impl Schedule {
         plan: &SweepPlan,
         attachment: &Attachment,
     ) -> Result<Self> {
+        let simulated = Driver::of_run(&attachment.folder, &config)? == Driver::Simulator;
         let subject = match plan.kind {
             SweepKind::Validate => Subject::Validation(Validation::new(&config, plan)?),
-            SweepKind::Grid => Subject::Grid(GridSweep::new(&config, plan)?),
+            SweepKind::Grid => Subject::Grid(GridSweep::new(&config, plan, simulated)?),
             SweepKind::Drive => Subject::Drive(SingleDrive::new(&config, plan)?),
         };
         let drives = match &subject {
@@ -112,9 +113,7 @@ impl Schedule {
             incarnation: if plan.realtime { 0 } else { attachment.incarnation },
         };
         let checks = match &subject {
-            Subject::Validation(validation)
-                if Driver::of_run(&attachment.folder, &config)? == Driver::Simulator =>
-            {
+            Subject::Validation(validation) if simulated => {
                 let validation = validation.clone();
                 Some(std::thread::spawn(move || validation.plant_checks()))
             }

@@ -90,7 +90,7 @@ impl Validation {
     /// takes a while.
     pub fn plant_checks(&self) -> Vec<Option<PlantCheck>> {
         let check = |sets: &[Parameters]| match sets {
-            [set] => Some(crate::plants::check(&self.config, &self.objective, set, &[])),
+            [set] => Some(crate::plants::check(&self.config, &self.objective, set, Vec::new())),
             _ => None,
         };
         self.rows.iter().map(|sets| check(sets)).collect()

@@ -5,7 +5,7 @@
 
 use std::collections::HashMap;
 
-use config::RunConfig;
+use config::{OverBy, RunConfig};
 use ipc_types::DriveReport;
 use tracking::DriveRecord;
 
@@ -14,6 +14,8 @@ use crate::tuners::Ask;
 
 pub(super) struct Parts {
     plants: u32,
+    /// The configured vehicle alone; a single plant is another one.
+    is_nominal: bool,
     judge: Judge,
     /// By learner and step: the drives of that step, by plant.
     come: HashMap<(u32, u32), Vec<Option<DriveRecord>>>,
@@ -22,13 +24,14 @@ pub(super) struct Parts {
 impl Parts {
     pub(super) fn new(config: &RunConfig) -> Self {
         let (plants, judge) = (config.plants() as u32, Judge::new(config));
-        Self { plants, judge, come: HashMap::new() }
+        let is_nominal = config.over.by == OverBy::Nominal;
+        Self { plants, is_nominal, judge, come: HashMap::new() }
     }
 
     /// The drives that these asks still need: each with the number of its learner in the pipeline, and its plant, which is 0
     /// for the configured vehicle.
     pub(super) fn of(&self, wanted: &[Ask]) -> Vec<(Ask, u32, u32)> {
-        if self.plants == 1 {
+        if self.is_nominal {
             return wanted.iter().map(|ask| (*ask, ask.learner, 0)).collect();
         }
         let has_come = |ask: &Ask, plant: u32| {
@@ -51,7 +54,7 @@ impl Parts {
         report: &DriveReport,
         drive: DriveRecord,
     ) -> Option<(u32, DriveRecord)> {
-        if self.plants == 1 {
+        if self.is_nominal {
             return Some((report.learner, drive));
         }
         let (learner, plant) = (report.learner / self.plants, report.learner % self.plants);
@@ -84,18 +87,18 @@ mod tests {
         let wanted = [ask(0, 3), ask(1, 2)];
         let mut parts = Parts::new(&config);
         let asked = parts.of(&wanted);
-        assert_eq!(asked.len(), 16);
-        assert!(asked.iter().all(|(ask, learner, plant)| *learner == ask.learner * 8 + plant - 1));
+        assert_eq!(asked.len(), 18);
+        assert!(asked.iter().all(|(ask, learner, plant)| *learner == ask.learner * 9 + plant - 1));
         let report = |learner, step| DriveReport { learner, step, ..DriveReport::default() };
         let drive = |path_mean_m| DriveRecord { path_mean_m, ..DriveRecord::default() };
-        for plant in [7, 0, 3, 3, 1, 2, 6, 5] {
+        for plant in [7, 0, 3, 3, 1, 2, 6, 5, 8] {
             let part = drive(f64::from(plant));
-            assert_eq!(parts.take(&wanted, &report(8 + plant, 2), part), None);
+            assert_eq!(parts.take(&wanted, &report(9 + plant, 2), part), None);
             assert_eq!(parts.take(&wanted, &report(plant, 2), part).unwrap().0, 0, "an old step");
         }
-        assert_eq!(parts.of(&wanted).len(), 9);
-        let (learner, together) = parts.take(&wanted, &report(12, 2), drive(4.0)).unwrap();
-        assert_eq!((learner, together.path_mean_m), (1, 3.5));
-        assert_eq!(parts.of(&wanted).len(), 16);
+        assert_eq!(parts.of(&wanted).len(), 10);
+        let (learner, together) = parts.take(&wanted, &report(13, 2), drive(4.0)).unwrap();
+        assert_eq!((learner, together.path_mean_m), (1, 4.0));
+        assert_eq!(parts.of(&wanted).len(), 18);
     }
 }

@@ -1,0 +1,160 @@
+//! The verdict with which the page of a training opens: what was chosen, what it is worth, and what to do next.
+
+use config::RunConfig;
+use maud::{Markup, html};
+use outcome::{RunResult, TrainResult};
+
+use crate::axis::{integer, number};
+use crate::baselines::name_of;
+use crate::page::parameters_text;
+
+/// The verdict on a training whose folder commands may call `folder`.
+pub(crate) fn section(
+    train: &TrainResult,
+    run: &RunResult,
+    config: &RunConfig,
+    folder: &str,
+) -> Markup {
+    let is_fragile = train.plants.as_ref().is_some_and(|it| it.fragile.is_some());
+    html! {
+        ul {
+            li { b { "Chosen" } ": " (parameters_text(&config.law, &train.gains)) " of the law " (config.law.name) "." }
+            li { b { "Distance from the path" } ": " (distance(train)) }
+            li { b { "Against textbook sets" } ": " (against(train)) }
+            li { b { "On a car that is a little different" } ": " (robust(train)) }
+            li { b { "It rests on" } ": " (evidence(train, config)) }
+        }
+        p { b { "What next" } }
+        ul { @for (command, why) in next(run, train, config, folder, is_fragile) {
+            li { code { (command) } ": " (why) }
+        } }
+    }
+}
+
+fn distance(train: &TrainResult) -> String {
+    let nominal = format!(
+        "{} m on average and {} m at most with the vehicle as its file has it",
+        number(train.measures.path_mean_m, 3),
+        number(train.measures.path_max_m, 3)
+    );
+    match &train.plants {
+        Some(check) => format!(
+            "{nominal}; {} m on average in the worst of {} plants that were drawn anew.",
+            number(check.fresh.path_mean_max_m, 3),
+            check.fresh.plants
+        ),
+        None => format!("{nominal}."),
+    }
+}
+
+fn against(train: &TrainResult) -> String {
+    let best = train.baselines.as_ref().and_then(|it| Some((it, it.sets.get(it.best)?)));
+    let Some((beside, best)) = best else {
+        return match &train.paper {
+            Some(paper) => format!(
+                "the paper has figures for this training, so its set stands beside it: {} m against {} m from the path on \
+                 average.",
+                number(train.measures.path_mean_m, 3),
+                number(paper.measures.path_mean_m, 3)
+            ),
+            None => "they were not driven beside it.".to_owned(),
+        };
+    };
+    let ratio = beside
+        .ratio
+        .map_or(String::new(), |ratio| format!(", {} % of its distance", number(100.0 * ratio, 0)));
+    let how = if beside.beaten { "better than" } else { "not better than" };
+    format!("{how} the best of them, {}{ratio}.", name_of(best))
+}
+
+fn robust(train: &TrainResult) -> String {
+    match &train.plants {
+        None => "not known; only our simulator can be such a car.".to_owned(),
+        Some(check) => match &check.fragile {
+            Some(why) => format!("fragile; {why}."),
+            None => "not fragile.".to_owned(),
+        },
+    }
+}
+
+fn evidence(train: &TrainResult, config: &RunConfig) -> String {
+    let plants = match config.plants() {
+        1 => String::new(),
+        count => format!(", each on {count} plants"),
+    };
+    let drives = format!("{} sets that were driven{plants}", integer(train.distinct));
+    let noise = match &train.noise {
+        Some(noise) if config.noise.enabled => {
+            format!("; {} noisy drives that chose nothing", noise.repeats)
+        }
+        Some(noise) => format!("; {} more drives of each finalist", noise.repeats),
+        None if config.noise.enabled => String::new(),
+        None => ", without noise".to_owned(),
+    };
+    let grid = train.grid.as_ref().map_or(String::new(), |grid| {
+        format!("; a comparison with all {} sets of the grid", integer(grid.size as u64))
+    });
+    format!("{drives}{noise}{grid}.")
+}
+
+/// Commands for what comes next, and what each is good for.
+fn next(
+    run: &RunResult,
+    train: &TrainResult,
+    config: &RunConfig,
+    folder: &str,
+    is_fragile: bool,
+) -> Vec<(String, &'static str)> {
+    let of = subject(run, config);
+    let values: Vec<String> = train.gains.0.iter().map(|(_, value)| value.to_string()).collect();
+    let mut next = Vec::new();
+    if is_fragile && config.plants() == 1 && !config.noise.enabled && train.vehicle_drives.is_none()
+    {
+        next.push((
+            format!("pathtune train {of} --over default"),
+            "looks for a set that is not fragile",
+        ));
+    }
+    next.push((
+        format!("pathtune validate {of} --gains {}", values.join(",")),
+        "drives the set under noise, and on plants",
+    ));
+    next.push((
+        format!("pathtune compare {of}"),
+        "tells how many drives other tuners need for as good a set",
+    ));
+    let force = if is_fragile { " --force" } else { "" };
+    next.push((
+        format!("pathtune gains promote {folder} car.toml{force}"),
+        "writes the set into the file of your vehicle",
+    ));
+    next.push((
+        format!("pathtune drive {of} --realtime --from {folder}"),
+        "drives it in real time; --replace vehicle=\u{2026} puts your vehicle in the loop",
+    ));
+    next
+}
+
+/// The manoeuvre or the path, with the options of the training that make it what it is.
+fn subject(run: &RunResult, config: &RunConfig) -> String {
+    const KEPT: [&str; 3] = ["--path", "--vehicle", "--law"];
+    let mut words: Vec<String> = Vec::new();
+    let mut all = run.run.command.iter();
+    while let Some(word) = all.next() {
+        if KEPT.contains(&word.as_str()) {
+            words.push(word.clone());
+            words.extend(all.next().cloned());
+        } else if KEPT.iter().any(|it| word.strip_prefix(it).is_some_and(|it| it.starts_with('=')))
+        {
+            words.push(word.clone());
+        }
+    }
+    let quoted = |word: &String| match word.contains(char::is_whitespace) {
+        true => format!("'{word}'"),
+        false => word.clone(),
+    };
+    let options = words.iter().map(quoted);
+    let is_own = words.iter().any(|it| it.starts_with("--path"));
+    let maneuver = (!is_own).then(|| config.maneuver.clone());
+    maneuver.into_iter().chain(options).collect::<Vec<_>>().join(" ")
+}
