@@ -11,7 +11,7 @@ use crate::words::tables::{
     size_with, table_of,
 };
 use crate::words::terminal::say;
-use crate::words::{Failure, baselines, plants};
+use crate::words::{Failure, baselines, plants, simulated};
 
 /// Prints the table of a training, whose figures they are, and how the set was chosen.
 pub(super) fn print(
@@ -88,6 +88,9 @@ pub(super) fn print(
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");
         say!("on a bound of the grid: {bounds}; better gains may lie beyond it");
+    }
+    if let Some(simulated) = &it.simulated_first {
+        simulated::print(simulated, config)?;
     }
     if let Some(noise) = &it.noise {
         let rank = it.grid.and_then(|grid| Some((grid.rank_mean?, grid.size)));

@@ -96,6 +96,7 @@ pub fn train_result(
         },
         trade_off: trade_off(config, ranking),
         noise: by_means,
+        simulated_first: training.tuner().simulated_first(training.objective()),
         asked: training.asked_drives(),
         distinct: training.distinct_drives(),
         learners: training.tuner().story(),

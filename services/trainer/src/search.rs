@@ -25,7 +25,7 @@ use crate::tuners::{Ask, LearnerState, Told, Tuner};
 
 pub(crate) use cholesky::Cholesky;
 pub(crate) use cube::{Cube, Point};
-pub(crate) use process::{Process, Reading, Shape, expected_improvement};
+pub(crate) use process::{Process, Reading, Shape, expected_improvement, matern};
 pub(crate) use sobol::Sobol;
 pub(crate) use space::{Known, Space};
 
