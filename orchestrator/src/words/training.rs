@@ -92,6 +92,19 @@ pub(super) fn print(
     if let Some(simulated) = &it.simulated_first {
         simulated::print(simulated, config)?;
     }
+    if let Some(of) = &it.predicted {
+        say!(
+            "under noise: {} {} [{}, {}] by the model of {}, with {} of the {} drives; the interval holds 95 % if the model does. \
+             So few drives leave none to choose among finalists: 30 --drives or more do",
+            config.objective.name,
+            digits(of.predicted, 4),
+            digits(of.low, 4),
+            digits(of.high, 4),
+            it.tuner,
+            of.drives,
+            it.asked,
+        );
+    }
     if let Some(noise) = &it.noise {
         let rank = it.grid.and_then(|grid| Some((grid.rank_mean?, grid.size)));
         print_choice_by_means(noise, rank, config)?;

@@ -19,6 +19,9 @@ use crate::{Finalists, OwnDrives, PlannedDrive, Ranking, rank_mean};
 /// Time between two reports on the progress of the ranking.
 const TELL_NS: u64 = 100_000_000;
 
+/// With a budget below this, what a tuner's model says takes the place of finalists.
+const FEW_DRIVES: f64 = 30.0;
+
 /// The figures of a table under way.
 pub(super) struct Table {
     choice: Choice,
@@ -48,6 +51,12 @@ impl Trainer {
         if let Some(driven) = self.training.tuner().driven() {
             return self.rank_few(driven);
         }
+        if self.config.noise.enabled && self.is_few() && self.driver == Driver::Simulator {
+            let set = recommended(&self.training);
+            if self.training.tuner().predicted(&set).is_some() {
+                return self.rank(Some(Choice::recommended(set)));
+            }
+        }
         if self.config.noise.enabled || self.driver == (Driver::Vehicle { repeats: false }) {
             let finalists = Finalists::new(&self.config, &self.training);
             let first = self.training.tuner().learners();
@@ -62,6 +71,12 @@ impl Trainer {
                 self.drive_table(choice, OwnDrives::default())
             }
         }
+    }
+
+    /// Whether the budget of drives is so small that no drives beside it may choose among finalists.
+    fn is_few(&self) -> bool {
+        let settings = &self.config.tuner.settings;
+        settings.0.contains_key("drives") && settings.number("drives") < FEW_DRIVES
     }
 
     /// Goes on without any further drive of a vehicle that is not our simulator: its few drives are all that it makes.

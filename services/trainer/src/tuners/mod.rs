@@ -18,7 +18,7 @@ use std::cmp::Ordering;
 use std::fmt::Debug;
 
 use config::{Parameters, RunConfig};
-use outcome::{LearnerSummary, SimulatedFirst};
+use outcome::{LearnerSummary, OfDrives, SimulatedFirst};
 use sha2::Sha256;
 use tracking::{DriveRecord, Objective};
 
@@ -124,6 +124,11 @@ pub trait Tuner: Debug + Send + Sync {
     /// All drives by their sets, if the tuner drives so few that their figures are the result's; nothing else is driven for
     /// its table then.
     fn driven(&self) -> Option<Vec<(Parameters, Vec<DriveRecord>)>> {
+        None
+    }
+
+    /// What its model says of a set that was driven; `None` if it has none, or where a single drive says it all.
+    fn predicted(&self, _set: &Parameters) -> Option<OfDrives> {
         None
     }
 
