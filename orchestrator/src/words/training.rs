@@ -72,6 +72,9 @@ pub(super) fn print(
             "not ranked: the vehicle paces by the clock, so the {} sets of the grid are not driven",
             config.grid().len()
         ),
+        (None, Some(_)) if it.simulated_first.is_some() => {
+            say!("not ranked: the vehicle makes no more drives than its budget");
+        }
         (None, _) => say!(
             "not ranked: the grid of {} sets takes more ticks than ranking.max_ticks",
             config.grid().len()
@@ -81,6 +84,8 @@ pub(super) fn print(
     baselines::print(it, config)?;
     match &it.plants {
         Some(check) => plants::print(check, config)?,
+        // What it does on plants is told below.
+        None if it.simulated_first.is_some() => {}
         None => say!(
             "not driven on plants like this car: only our simulator can be one, so whether the set is fragile is not known"
         ),
