@@ -96,6 +96,46 @@ fn figures_of_a_declared_vehicle_of_the_same_plant_are_ours_whatever_dies() {
     sandbox.assert_clean();
 }
 
+/// What is simulated first is simulated with our cores; then a vehicle that is not ours makes its few drives and no other.
+#[test]
+fn a_training_that_simulates_first_drives_its_budget_and_not_once_more_whatever_dies() {
+    let sandbox = Sandbox::new();
+    let replaced = vehicle("fast_vehicle");
+    let mut args = vec!["smooth_lane", "--law", "pure_pursuit", "--simulate-first", "4"];
+    args.extend(["--drives", "6", "--within", "2"]);
+    for set in [
+        "tuner.settings.draw=grid",
+        "grid.kv={min=1,max=1,step=1}",
+        "grid.filter={min=0,max=0,step=1}",
+        "vehicle.steering_delay_s=0.1",
+    ] {
+        args.extend(["--set", set]);
+    }
+    let ours = sandbox.train("ours", &args);
+    args.extend(["--replace", &replaced]);
+    let theirs = sandbox.train("theirs", &args);
+    let drives = &theirs["drives"];
+    assert_eq!((&drives["driven"], &drives["for_table"]), (&6.into(), &0.into()), "{drives}");
+    // Two of them with the textbook's set, and the last one with the set that is chosen.
+    let simulated = &theirs["simulated_first"];
+    assert_eq!((&simulated["drives"], &simulated["plants"]), (&6.into(), &4.into()));
+    assert_eq!(
+        (&simulated["beyond"], &simulated["textbook"]["driven"]["drives"]),
+        (&0.into(), &2.into())
+    );
+    assert!(simulated["chosen"]["drives"].as_u64().unwrap() >= 2, "{simulated}");
+    // The same plant drives both.
+    for key in ["digest", "gains", "simulated_first"] {
+        assert_eq!(theirs[key], ours[key], "{key}");
+    }
+    let chaos = ["--chaos", "kill trainer@drive=3; kill controller@drive=5"];
+    let killed = sandbox.train("killed", &[&args[..], &chaos].concat());
+    for key in ["digest", "gains", "simulated_first", "path_mean_m"] {
+        assert_eq!(killed[key], theirs[key], "{key}");
+    }
+    sandbox.assert_clean();
+}
+
 #[test]
 fn a_vehicle_that_does_not_repeat_itself_gets_means_with_intervals() {
     let sandbox = Sandbox::new();

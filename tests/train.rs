@@ -328,6 +328,34 @@ fn every_service_may_be_killed_without_changing_a_byte() {
 }
 
 #[test]
+fn tuners_with_a_budget_come_to_the_same_bytes_whatever_the_fleet_and_whoever_is_killed() {
+    let sandbox = Sandbox::new();
+    // Few sets, so that the ranking is short.
+    let small = ["grid.kv={min=1,max=3,step=1}", "grid.ki={min=0.7,max=0.98,step=0.28}"];
+    for tuner in ["gp", "cmaes", "cem", "coordinate", "simulate-first"] {
+        let mut args = vec!["lane_change", "--tuner", tuner, "--drives", "14", "--no-memo"];
+        small.iter().for_each(|set| args.extend(["--set", set]));
+        if tuner == "simulate-first" {
+            let sets = [
+                "tuner.settings.draw=grid",
+                "tuner.settings.plants=2",
+                "tuner.settings.within_m=10",
+            ];
+            sets.iter().for_each(|set| args.extend(["--set", set]));
+        }
+        let outcome = |out: &str, more: &[&str]| {
+            sandbox.train(out, &[&args[..], more].concat());
+            std::fs::read(sandbox.path(out).join("outcome.json")).unwrap()
+        };
+        let calm = outcome(&format!("calm-{tuner}"), &[]);
+        let chaos = "kill trainer@drive=4; kill simulator@drive=7; kill trainer@drive=11";
+        let killed = outcome(&format!("killed-{tuner}"), &["--chaos", chaos, "--fleet", "2"]);
+        assert_eq!(killed, calm, "{tuner}");
+    }
+    sandbox.assert_clean();
+}
+
+#[test]
 fn a_killed_orchestrator_takes_its_processes_along_and_the_next_one_sweeps() {
     let sandbox = Sandbox::new();
     let mut training = sandbox.start_training("out", &SHORT);

@@ -169,11 +169,12 @@ impl Layers {
 }
 
 impl RunConfig {
-    /// How plants differ from the vehicle that this car may be: those that the configuration names, those
-    /// within the intervals that a user states in the vehicle's file, or eight around the estimate. These are errors of a model, not draws of measured uncertainty: dead times and lag that are longer,
-    /// steering that turns more slowly, understeer, and an offset to both sides. A set that is chosen over plants is also
-    /// to hold when it drives faster than it was trained for, which the eight do not ask: so there is a ninth then. It
-    /// tells nothing of whether a set is fragile, as every car is farther from the path when it drives faster.
+    /// How plants differ from the vehicle that this car may be: those that the configuration names, those within the
+    /// intervals that a user states in the vehicle's file, or eight around the estimate. The eight are errors of a model,
+    /// not draws of measured uncertainty: dead times and lag that are longer, steering that turns more slowly, understeer,
+    /// and an offset to both sides. A set that is chosen over plants is also to hold when it drives faster than it was
+    /// trained for, which the eight do not ask: so there is a ninth then. It tells nothing of whether a set is fragile, as
+    /// every car is farther from the path when it drives faster.
     pub fn plant_changes(&self) -> Vec<PlantChange> {
         if !self.over.plants.is_empty() {
             return self.over.plants.clone();

@@ -434,6 +434,7 @@ class LearnerProgress(Struct):
     ]
     DRIVES = 1
     RANKING = 2
+    SIMULATING = 4
 
     @staticmethod
     def type_name() -> str:

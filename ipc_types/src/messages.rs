@@ -642,6 +642,8 @@ constants!(
     pub const DRIVES: u32 = 1;
     /// In [`BatchHeader::flags`]: no learners, but the sets of a ranking.
     pub const RANKING: u32 = 2;
+    /// In [`BatchHeader::flags`]: no learners, but the sets that are simulated before the first drive.
+    pub const SIMULATING: u32 = 4;
 );
 
 message!(

@@ -178,7 +178,7 @@ pub struct TrainArgs {
         value_name = "DIR",
         conflicts_with_all = [
             "maneuver", "alphas", "seed", "fleet", "episodes", "noise", "no_memo", "law", "objective",
-            "tuner", "drives", "over", "over_by", "out",
+            "tuner", "drives", "over", "over_by", "simulate_first", "within", "out",
             "config", "set", "launch", "replace", "deterministic", "path", "vehicle", "record", "record_split",
         ]
     )]
@@ -204,6 +204,16 @@ pub struct TrainArgs {
     /// Budget of drives, repeats under noise included; only for tuners without episodes [default: the tuner's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub drives: Option<u32>,
+    /// Simulate all sets on N plants first, which are vehicles that the car may really be; then drive few of them, of --drives
+    /// K in all: the best ones in turn with the textbook's set, and the best of them at the end
+    #[arg(
+        long, value_name = "N", conflicts_with_all = ["tuner", "episodes", "alphas", "over"],
+        value_parser = clap::value_parser!(u32).range(2..=256),
+    )]
+    pub simulate_first: Option<u32>,
+    /// Drive only sets that stay within M metres of the path on all simulated plants [default: 1]
+    #[arg(long, value_name = "M", requires = "simulate_first")]
+    pub within: Option<f64>,
     /// Judge each set by its drives on several plants, which are vehicles that the car may really be: `default` for eight
     /// around the vehicle's file and a faster drive, or a TOML file of `plants`, each with a name, `add` and `scale`
     #[arg(long, value_name = "default|FILE")]

@@ -15,6 +15,9 @@ use crate::runs::running::{RunFacts, run_or_unmake};
 use crate::runs::setup::{self, Folder, Ready};
 use crate::words::Failure;
 
+/// The tuner of `--simulate-first`.
+const SIMULATE_FIRST: &str = "simulate-first";
+
 /// Runs a training to its end, or resumes one that was interrupted.
 ///
 /// # Errors
@@ -76,7 +79,17 @@ fn resolved_before(folder: &Path, services: Services) -> Result<(RunConfig, Laun
 /// # Errors
 /// On a user's mistake.
 pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunConfig, Failure> {
-    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, args.tuner.as_deref())?;
+    let tuner = match args.simulate_first {
+        Some(_) => Some(SIMULATE_FIRST),
+        None => args.tuner.as_deref(),
+    };
+    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, tuner)?;
+    if let Some(plants) = args.simulate_first {
+        layers.put("--simulate-first", "tuner.settings.plants", i64::from(plants))?;
+    }
+    if let Some(within_m) = args.within {
+        layers.put("--within", "tuner.settings.within_m", within_m)?;
+    }
     if let Some(alphas) = &args.alphas {
         layers.put("--alphas", "run.alphas", alphas.clone())?;
     }
@@ -117,6 +130,10 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
         }
     }
     let mut config = layers.resolve()?;
+    if config.learning.tuner == SIMULATE_FIRST && config.plants() > 1 {
+        let why = "over.by: the tuner simulate-first has plants of its own, tuner.settings.plants of them; leave it \"nominal\"";
+        return Err(Failure::User(why.to_owned()));
+    }
     // Drives that do not repeat must not stand in for each other.
     config.run.memo &= launch.repeats() && !config.run.realtime;
     if config.noise.enabled && config.robust.engage_gear {

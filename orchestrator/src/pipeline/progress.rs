@@ -79,6 +79,8 @@ impl Progress {
         let all: u64 = learners.iter().map(|learner| u64::from(learner.episodes)).sum();
         let message = if has(flags, LearnerProgress::RANKING) {
             format!("ranking the choice among all sets: {:.0} %", 100.0 * done as f64 / all as f64)
+        } else if has(flags, LearnerProgress::SIMULATING) {
+            format!("simulating sets on plants: {:.0} %", 100.0 * done as f64 / all as f64)
         } else if has(flags, LearnerProgress::DRIVES) {
             format!("drive {done}/{all}  {}", self.speed(counts))
         } else {

@@ -65,7 +65,11 @@ pub(crate) fn print(it: &CompareResult) -> Result<(), Failure> {
         it.best_gains.0.iter().map(|(key, value)| format!("{key} {value}")).collect();
     say!("the best set: {}; {} {:.4}", best.join(", "), it.objective, it.best_value);
     if it.noise {
-        say!("a set's true value is its mean over {} drives that no tuner saw", it.drives_of_truth);
+        say!(
+            "a set's true value is its mean over {} drives that no tuner saw, and over 480 others if it seems nearly as good as \
+             the best",
+            it.drives_of_truth
+        );
     }
     Ok(())
 }

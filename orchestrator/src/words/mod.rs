@@ -5,6 +5,7 @@ pub(crate) mod comparison;
 pub(crate) mod failure;
 mod laps;
 pub(crate) mod plants;
+mod simulated;
 pub(crate) mod tables;
 pub(crate) mod terminal;
 mod training;

@@ -11,7 +11,7 @@ use crate::words::tables::{
     size_with, table_of,
 };
 use crate::words::terminal::say;
-use crate::words::{Failure, baselines, plants};
+use crate::words::{Failure, baselines, plants, simulated};
 
 /// Prints the table of a training, whose figures they are, and how the set was chosen.
 pub(super) fn print(
@@ -72,6 +72,9 @@ pub(super) fn print(
             "not ranked: the vehicle paces by the clock, so the {} sets of the grid are not driven",
             config.grid().len()
         ),
+        (None, Some(_)) if it.simulated_first.is_some() => {
+            say!("not ranked: the vehicle makes no more drives than its budget");
+        }
         (None, _) => say!(
             "not ranked: the grid of {} sets takes more ticks than ranking.max_ticks",
             config.grid().len()
@@ -81,6 +84,8 @@ pub(super) fn print(
     baselines::print(it, config)?;
     match &it.plants {
         Some(check) => plants::print(check, config)?,
+        // What it does on plants is told below.
+        None if it.simulated_first.is_some() => {}
         None => say!(
             "not driven on plants like this car: only our simulator can be one, so whether the set is fragile is not known"
         ),
@@ -88,6 +93,22 @@ pub(super) fn print(
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");
         say!("on a bound of the grid: {bounds}; better gains may lie beyond it");
+    }
+    if let Some(simulated) = &it.simulated_first {
+        simulated::print(simulated, config)?;
+    }
+    if let Some(of) = &it.predicted {
+        say!(
+            "under noise: {} {} [{}, {}] by the model of {}, with {} of the {} drives; the interval holds 95 % if the model does. \
+             So few drives leave none to choose among finalists: 30 --drives or more do",
+            config.objective.name,
+            digits(of.predicted, 4),
+            digits(of.low, 4),
+            digits(of.high, 4),
+            it.tuner,
+            of.drives,
+            it.asked,
+        );
     }
     if let Some(noise) = &it.noise {
         let rank = it.grid.and_then(|grid| Some((grid.rank_mean?, grid.size)));

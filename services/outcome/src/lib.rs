@@ -15,6 +15,7 @@ mod laps;
 mod plants;
 mod recording;
 mod run;
+mod simulated;
 mod training;
 mod validation;
 
@@ -35,6 +36,7 @@ pub use laps::Lap;
 pub use plants::{Alternative, FreshPlants, Margin, PlantCheck, PlantDrive};
 pub use recording::{RecordingFacts, TopicCounts};
 pub use run::{DeathToTick, Drives, ProcessFacts, Recovery, Run, RunDrives};
+pub use simulated::{FreshDrives, OfDrives, SimulatedFirst, TextbookDriven};
 pub use training::{
     Beside, Comparison, Finalist, GridStanding, Interval, LearnerSummary, NoiseChoice, SetStanding,
     Spread, TrainResult, Usage, VehicleDrives, Verdict,

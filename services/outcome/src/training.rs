@@ -6,7 +6,9 @@ use config::NamedParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Baselines, Lap, Measures, ParameterTable, PlantCheck, TradeOff};
+use crate::{
+    Baselines, Lap, Measures, OfDrives, ParameterTable, PlantCheck, SimulatedFirst, TradeOff,
+};
 
 /// The result of a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -55,6 +57,13 @@ pub struct TrainResult {
     /// How the set was chosen by means over several drives: under noise, or with a vehicle that does not repeat itself;
     /// otherwise null.
     pub noise: Option<NoiseChoice>,
+    /// What the tuner's model says of the set under noise, where the budget is below 30 drives: in place of finalists, which
+    /// would take further drives; null otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub predicted: Option<OfDrives>,
+    /// What many simulated plants and few drives say together; null if nothing was simulated first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulated_first: Option<SimulatedFirst>,
     /// Drives that the learners asked for.
     pub asked: u64,
     /// Different drives among them: those that a memory does not answer.

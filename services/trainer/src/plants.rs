@@ -37,7 +37,7 @@ impl PlantRollouts {
 }
 
 /// The loop around a plant: what drives it believes in the vehicle's file.
-fn on_plant(config: &RunConfig, change: &PlantChange) -> Rollout {
+pub(crate) fn on_plant(config: &RunConfig, change: &PlantChange) -> Rollout {
     Rollout::on_plant(&config.driving_plant(change), &config.with_plant(change))
 }
 
@@ -208,7 +208,7 @@ fn fresh(config: &RunConfig, changes: &[PlantChange], set: &Parameters) -> Fresh
 }
 
 /// A plant between those that are named.
-fn drawn(changes: &[PlantChange], random: &mut Stream) -> PlantChange {
+pub(crate) fn drawn(changes: &[PlantChange], random: &mut Stream) -> PlantChange {
     let mut drawn = PlantChange { name: "drawn".to_owned(), ..PlantChange::default() };
     let mut draw = |of: fn(&PlantChange) -> &std::collections::BTreeMap<String, f64>, none: f64| {
         let mut keys: Vec<&String> = changes.iter().flat_map(|it| of(it).keys()).collect();

@@ -95,7 +95,12 @@ pub fn train_result(
             Some(_) => None,
         },
         trade_off: trade_off(config, ranking),
+        predicted: match by_means {
+            None => training.tuner().predicted(&parameters),
+            Some(_) => None,
+        },
         noise: by_means,
+        simulated_first: training.tuner().simulated_first(training.objective()),
         asked: training.asked_drives(),
         distinct: training.distinct_drives(),
         learners: training.tuner().story(),

@@ -15,7 +15,7 @@ mod space;
 use std::cmp::Ordering;
 
 use config::{Parameters, RunConfig};
-use outcome::LearnerSummary;
+use outcome::{LearnerSummary, OfDrives};
 use sha2::{Digest, Sha256};
 use tracking::DriveRecord;
 
@@ -25,7 +25,7 @@ use crate::tuners::{Ask, LearnerState, Told, Tuner};
 
 pub(crate) use cholesky::Cholesky;
 pub(crate) use cube::{Cube, Point};
-pub(crate) use process::{Process, Reading, Shape, expected_improvement};
+pub(crate) use process::{Process, Reading, Shape, expected_improvement, matern};
 pub(crate) use sobol::Sobol;
 pub(crate) use space::{Known, Space};
 
@@ -33,6 +33,8 @@ pub(crate) use space::{Known, Space};
 const BARREN: u32 = 30;
 /// A value that is no number, or beyond this, counts as this.
 const WORST: f64 = 1e12;
+/// The normal distribution's 97.5th percentile.
+const Z: f64 = 1.959_963_984_540_054;
 
 /// How points are proposed. All that it keeps is a function of what it was told and of the space's random stream.
 pub(crate) trait Method: std::fmt::Debug + Clone + Send + Sync + 'static {
@@ -47,6 +49,12 @@ pub(crate) trait Method: std::fmt::Debug + Clone + Send + Sync + 'static {
     /// The value that the choice goes by, for each set that was driven.
     fn judged(&self, space: &Space) -> Vec<f64> {
         space.known.iter().map(Known::mean).collect()
+    }
+
+    /// Mean and standard deviation of the logarithm of a point's value, by the method's model; `None` if it has none, or
+    /// without noise.
+    fn predicted(&self, _space: &Space, _point: &[f64]) -> Option<(f64, f64)> {
+        None
     }
 
     /// All that tells it from a new one.
@@ -154,6 +162,15 @@ impl<M: Method> Search<M> {
         self.method.learn(&values);
     }
 
+    /// What is known, and of a generation under way the drives that are over as well.
+    fn with_slots(&self) -> Space {
+        let mut space = self.space.clone();
+        for Slot { point, value } in &self.slots {
+            value.iter().for_each(|value| space.add(point, *value));
+        }
+        space
+    }
+
     /// The next drive of a learner, as a place in the slots.
     fn slot_of(&self, learner: u32) -> Option<usize> {
         let mut dealt = (learner as usize..self.slots.len()).step_by(self.learners.len());
@@ -193,16 +210,20 @@ impl<M: Method> Tuner for Search<M> {
     }
 
     fn recommend(&self, order: &dyn Fn(&Parameters, &Parameters) -> Ordering) -> Parameters {
-        // Of a generation under way, the drives that are over count as well.
-        let mut space = self.space.clone();
-        for Slot { point, value } in &self.slots {
-            value.iter().for_each(|value| space.add(point, *value));
-        }
+        let space = self.with_slots();
         let judged = self.method.judged(&space);
         let best = judged.iter().copied().fold(f64::INFINITY, f64::min);
         let sets = space.known.iter().zip(&judged).filter(|(_, value)| **value == best);
         let sets = sets.map(|(known, _)| space.cube.set(&known.point));
         sets.min_by(|a, b| order(a, b)).unwrap_or_else(|| self.config.law.defaults())
+    }
+
+    fn predicted(&self, set: &Parameters) -> Option<OfDrives> {
+        let space = self.with_slots();
+        let known = space.known.iter().find(|it| space.cube.set(&it.point) == *set)?;
+        let (mean, sd) = self.method.predicted(&space, &known.point)?;
+        let [predicted, low, high] = [mean, mean - Z * sd, mean + Z * sd].map(libm::exp);
+        Some(OfDrives { drives: known.drives.into(), predicted, low, high })
     }
 
     fn state(&self, learner: u32) -> LearnerState {

@@ -76,6 +76,8 @@ struct Trainer {
 }
 
 enum TrainingStage {
+    /// The tuner computes what it needs before its first drive.
+    Preparing,
     /// Steps of the journal are still to be taken again.
     Replaying,
     /// Some steps can be answered from memory.
@@ -101,7 +103,8 @@ impl TrainingStage {
             Self::Finalists(sweeping, _)
             | Self::Table(sweeping, _)
             | Self::Demonstrating(sweeping, _) => Some(sweeping),
-            Self::Replaying
+            Self::Preparing
+            | Self::Replaying
             | Self::Remembering
             | Self::Training
             | Self::Ranking(_)
@@ -140,7 +143,7 @@ impl Trainer {
             story,
             ranked: Arc::default(),
             told_ns: 0,
-            stage: TrainingStage::Replaying,
+            stage: TrainingStage::Preparing,
             counters: Counters::default(),
         })
     }
@@ -152,6 +155,16 @@ impl Trainer {
 
     fn training_mut(&mut self) -> &mut Training {
         Arc::get_mut(&mut self.training).expect("no ranking while drives are taken")
+    }
+
+    /// Lets the tuner compute what it needs before its first drive, a part at a time: signs of life go between the parts.
+    fn prepare(&mut self) -> Result<()> {
+        let done = self.training_mut().prepare().map_err(anyhow::Error::msg)?;
+        if done >= 1.0 {
+            self.stage = TrainingStage::Replaying;
+            return Ok(());
+        }
+        self.tell_share(done, LearnerProgress::SIMULATING)
     }
 
     /// Takes steps of the journal again, as many as leave time for signs of life.
@@ -283,6 +296,10 @@ fn fingerprint(config: &RunConfig) -> String {
 impl Service for Trainer {
     fn poll(&mut self) -> Result<bool> {
         match &mut self.stage {
+            TrainingStage::Preparing => {
+                self.prepare()?;
+                return Ok(true);
+            }
             TrainingStage::Replaying => {
                 self.replay()?;
                 return Ok(true);

@@ -63,6 +63,24 @@ fn t_975(freedom: f64) -> f64 {
     0.5 * (low + high)
 }
 
+/// The 95 % interval of a share of which `count` of `of` were seen, by Clopper and Pearson (1934): it holds the share in at
+/// least so many cases, whatever it is. All of [0, 1] if nothing was seen.
+pub(crate) fn clopper_pearson(count: u64, of: u64) -> (f64, f64) {
+    let (k, n) = (count as f64, of as f64);
+    // P(B ≥ k) at the share p is I_p(k, n − k + 1), which rises with p.
+    let solve = |a: f64, b: f64, wanted: f64| {
+        let (mut low, mut high) = (0.0, 1.0);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if incomplete_beta(a, b, middle) < wanted { low = middle } else { high = middle }
+        }
+        0.5 * (low + high)
+    };
+    let low = if count == 0 { 0.0 } else { solve(k, n - k + 1.0, 0.025) };
+    let high = if count == of { 1.0 } else { solve(k + 1.0, n - k, 0.975) };
+    (low, high)
+}
+
 /// The regularised incomplete beta function, by its continued fraction (Abramowitz and Stegun, 26.5.8), for x where it
 /// converges fast or whose mirror image does.
 fn incomplete_beta(a: f64, b: f64, x: f64) -> f64 {
@@ -116,6 +134,23 @@ mod tests {
             (999.0, 1.962_341),
         ] {
             assert!((t_975(freedom) - wanted).abs() < 1e-6, "{freedom}: {}", t_975(freedom));
+        }
+    }
+
+    #[test]
+    fn clopper_and_pearson_s_intervals_are_those_of_the_tables() {
+        for ((count, of), (low, high)) in [
+            ((0, 10), (0.0, 0.308_497)),
+            ((1, 20), (0.001_265, 0.248_733)),
+            ((5, 10), (0.187_086, 0.812_914)),
+            ((10, 10), (0.691_503, 1.0)),
+            ((0, 0), (0.0, 1.0)),
+        ] {
+            let (of_low, of_high) = clopper_pearson(count, of);
+            assert!(
+                (of_low - low).abs() < 1e-5 && (of_high - high).abs() < 1e-5,
+                "{count} of {of}"
+            );
         }
     }
 

@@ -153,6 +153,14 @@ impl Training {
         &*self.tuner
     }
 
+    /// Does a part of what the tuner computes before its first drive; see [`Tuner::prepare`].
+    ///
+    /// # Errors
+    /// If no set may be driven.
+    pub fn prepare(&mut self) -> Result<f64, String> {
+        self.tuner.prepare()
+    }
+
     /// Whether every learner has finished.
     pub fn is_finished(&self) -> bool {
         self.tuner.is_finished()
@@ -274,6 +282,7 @@ pub fn train_offline(
     mut drive: impl FnMut(&Ask) -> DriveRecord,
 ) -> Training {
     let mut training = Training::new(config, objective);
+    while training.prepare().expect("some set may be driven") < 1.0 {}
     loop {
         training.remember(usize::MAX, |_| {});
         let wanted = training.wanted();

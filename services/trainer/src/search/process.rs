@@ -215,7 +215,7 @@ fn covariances(shape: &Shape, rows: &[Point], columns: &[Point]) -> Vec<f64> {
 }
 
 /// Matérn's kernel with ν = 5/2, of a squared distance in lengths.
-fn matern(squared: f64) -> f64 {
+pub(crate) fn matern(squared: f64) -> f64 {
     let far = (5.0 * squared).sqrt();
     (1.0 + far + far * far / 3.0) * libm::exp(-far)
 }

@@ -7,6 +7,7 @@ use config::Parameters;
 use ipc_types::{DriveRequest, LearnerProgress, Proposal, has};
 use outcome::{Outcome, TrainResult, VehicleDrives};
 use runtime::clock::now_ns;
+use tracking::DriveRecord;
 
 use super::{Trainer, TrainingStage, write_outcome};
 use crate::own_drives::{Driver, recommended};
@@ -17,6 +18,9 @@ use crate::{Finalists, OwnDrives, PlannedDrive, Ranking, rank_mean};
 
 /// Time between two reports on the progress of the ranking.
 const TELL_NS: u64 = 100_000_000;
+
+/// With a budget below this, what a tuner's model says takes the place of finalists.
+const FEW_DRIVES: f64 = 30.0;
 
 /// The figures of a table under way.
 pub(super) struct Table {
@@ -44,6 +48,15 @@ impl Trainer {
     pub(super) fn after_training(&mut self) -> Result<()> {
         self.story.flush()?;
         self.checkpoints.finish()?;
+        if let Some(driven) = self.training.tuner().driven() {
+            return self.rank_few(driven);
+        }
+        if self.config.noise.enabled && self.is_few() && self.driver == Driver::Simulator {
+            let set = recommended(&self.training);
+            if self.training.tuner().predicted(&set).is_some() {
+                return self.rank(Some(Choice::recommended(set)));
+            }
+        }
         if self.config.noise.enabled || self.driver == (Driver::Vehicle { repeats: false }) {
             let finalists = Finalists::new(&self.config, &self.training);
             let first = self.training.tuner().learners();
@@ -58,6 +71,24 @@ impl Trainer {
                 self.drive_table(choice, OwnDrives::default())
             }
         }
+    }
+
+    /// Whether the budget of drives is so small that no drives beside it may choose among finalists.
+    fn is_few(&self) -> bool {
+        let settings = &self.config.tuner.settings;
+        settings.0.contains_key("drives") && settings.number("drives") < FEW_DRIVES
+    }
+
+    /// Goes on without any further drive of a vehicle that is not our simulator: its few drives are all that it makes.
+    fn rank_few(&mut self, driven: Vec<(Parameters, Vec<DriveRecord>)>) -> Result<()> {
+        let choice = Choice::recommended(recommended(&self.training));
+        let Driver::Vehicle { repeats } = self.driver else { return self.rank(Some(choice)) };
+        let mut own = OwnDrives::default();
+        for (set, drives) in driven {
+            drives.into_iter().for_each(|drive| own.add(&set, drive));
+        }
+        let drives = VehicleDrives { repeats, by_clock: false, for_table: 0, of_grid_set: 0 };
+        self.rank_own(Table { choice, own, drives, waits_for_pace: false })
     }
 
     /// Asks for the drives of a sweep that are still wanted.
@@ -110,15 +141,21 @@ impl Trainer {
                 result.drives_recorded = sweeping.recorded();
                 result.drives_lacking = sweeping.lacking();
                 result.laps = sweeping.laps();
-                write_outcome(&self.folder, &decided(&self.config, Outcome::Train(result)))?;
-                self.proposals.send(self.header(Proposal::FINISHED), 1, |_| Proposal::default())?;
-                Ok(())
+                self.end(result)
             }
             other => {
                 self.stage = other;
                 Ok(())
             }
         }
+    }
+
+    /// Writes the result and announces it.
+    fn end(&mut self, result: Box<TrainResult>) -> Result<()> {
+        self.stage = TrainingStage::Over;
+        write_outcome(&self.folder, &decided(&self.config, Outcome::Train(result)))?;
+        self.proposals.send(self.header(Proposal::FINISHED), 1, |_| Proposal::default())?;
+        Ok(())
     }
 
     /// Drives the rows of the table; `own` are the drives that it has already.
@@ -176,7 +213,8 @@ impl Trainer {
         self.in_thread(move || {
             let progress = |done: f64| share.store((1000.0 * done) as u32, Ordering::Relaxed);
             let mut choice = choice;
-            if let Some(choice) = choice.as_mut().filter(|_| grid_is_driven(&config)) {
+            let by_means = |it: &&mut Choice| it.by_means.is_some() && grid_is_driven(&config);
+            if let Some(choice) = choice.as_mut().filter(by_means) {
                 let (objective, set) = (training.objective(), &choice.parameters);
                 choice.rank_mean = Some(rank_mean(&config, objective, set, progress));
             }
@@ -224,6 +262,10 @@ impl Trainer {
         }
         let Chosen { parameters, result } =
             thread.join().map_err(|_| anyhow!("the ranking panicked"))??;
+        if self.driver != Driver::Simulator && self.training.tuner().driven().is_some() {
+            // The last of its drives was with this set already; the vehicle's time is dear.
+            return self.end(Box::new(result)).map(|()| true);
+        }
         let drives = [("tuned_noise_free", None), ("tuned_noisy", Some(1))]
             .map(|(name, seed)| PlannedDrive {
                 by_zone: vec![parameters],
@@ -239,16 +281,20 @@ impl Trainer {
 
     /// Reports the progress of the ranking, if it takes long enough.
     fn tell_ranking(&mut self) -> Result<()> {
+        let share = f64::from(self.ranked.load(Ordering::Relaxed)) / 1000.0;
+        self.tell_share(share, LearnerProgress::RANKING)
+    }
+
+    /// Reports which share is done of something that takes long, not too often.
+    pub(super) fn tell_share(&mut self, share: f64, of: u32) -> Result<()> {
         let now_ns = now_ns();
         if now_ns - self.told_ns < TELL_NS {
             return Ok(());
         }
         self.told_ns = now_ns;
-        let ranked = self.ranked.load(Ordering::Relaxed);
-        let (epsilon, best_value) = (0.0, f64::INFINITY);
-        let progress =
-            LearnerProgress { epsilon, best_value, asked: 0, episode: ranked, episodes: 1000 };
-        self.progress.send(self.header(LearnerProgress::RANKING), 1, |_| progress)?;
+        let (epsilon, best_value, episode) = (0.0, f64::INFINITY, (1000.0 * share) as u32);
+        let progress = LearnerProgress { epsilon, best_value, asked: 0, episode, episodes: 1000 };
+        self.progress.send(self.header(of), 1, |_| progress)?;
         Ok(())
     }
 }

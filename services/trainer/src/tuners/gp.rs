@@ -78,6 +78,15 @@ impl Method for Gp {
         means_at_known(space, &process)
     }
 
+    fn predicted(&self, space: &Space, point: &[f64]) -> Option<(f64, f64)> {
+        if !space.noise {
+            return None;
+        }
+        let readings = readings(space);
+        let process = Process::new(Shape::of(&readings, true), &readings);
+        process.predict(std::slice::from_ref(&point.to_vec())).first().copied()
+    }
+
     fn state(&self) -> Vec<f64> {
         vec![f64::from(self.next)]
     }

@@ -11,15 +11,16 @@ mod gp;
 mod q;
 mod random;
 mod random_walk;
+mod simulate_first;
 mod sobol;
 
 use std::cmp::Ordering;
 use std::fmt::Debug;
 
 use config::{Parameters, RunConfig};
-use outcome::LearnerSummary;
+use outcome::{LearnerSummary, OfDrives, SimulatedFirst};
 use sha2::Sha256;
-use tracking::DriveRecord;
+use tracking::{DriveRecord, Objective};
 
 use crate::rng::drive_seed;
 
@@ -87,6 +88,15 @@ pub struct LearnerState {
 /// same proposals, in whatever order the learners are served. Reads no clock, and draws every random number from a
 /// stream of the run's seed.
 pub trait Tuner: Debug + Send + Sync {
+    /// Does a part of what it computes before its first drive, and returns which share of that is done. Until that is 1, no
+    /// drive is wanted. Most tuners compute nothing.
+    ///
+    /// # Errors
+    /// If it turns out that no set may be driven.
+    fn prepare(&mut self) -> Result<f64, String> {
+        Ok(1.0)
+    }
+
     /// Number of learners, numbered from 0: as many drives may be under way at once.
     fn learners(&self) -> u32;
 
@@ -110,6 +120,22 @@ pub trait Tuner: Debug + Send + Sync {
 
     /// A summary of how each learner learnt, of bounded size.
     fn story(&self) -> Vec<LearnerSummary>;
+
+    /// All drives by their sets, if the tuner drives so few that their figures are the result's; nothing else is driven for
+    /// its table then.
+    fn driven(&self) -> Option<Vec<(Parameters, Vec<DriveRecord>)>> {
+        None
+    }
+
+    /// What its model says of a set that was driven; `None` if it has none, or where a single drive says it all.
+    fn predicted(&self, _set: &Parameters) -> Option<OfDrives> {
+        None
+    }
+
+    /// What many simulated plants and few drives say of the set that it recommends.
+    fn simulated_first(&self, _objective: &Objective) -> Option<SimulatedFirst> {
+        None
+    }
 
     /// Adds what learner number `learner` has become to the run's digest; what it received is in it already.
     fn digest_into(&self, learner: u32, digest: &mut Sha256);
@@ -152,6 +178,7 @@ tuners! {
     "gp" => gp,
     "cem" => cem,
     "cmaes" => cmaes,
+    "simulate-first" => simulate_first,
 }
 
 #[cfg(test)]
@@ -179,7 +206,26 @@ mod tests {
         if config.tuner.settings.0.contains_key("drives") {
             layers.set("tuner.settings.drives=21").unwrap();
         }
+        if tuner == "simulate-first" {
+            // Few sets and plants, which are driven indeed.
+            for set in [
+                "tuner.settings.plants=2",
+                "tuner.settings.within_m=100",
+                "tuner.settings.draw=grid",
+                "grid.kv={min=1,max=1,step=1}",
+                "grid.ks={min=1,max=1,step=1}",
+                "drive.loop_time_s=1",
+            ] {
+                layers.set(set).unwrap();
+            }
+        }
         layers.resolve().unwrap()
+    }
+
+    /// The tuner, ready for its first drive.
+    fn ready(mut tuner: Box<dyn Tuner>) -> Box<dyn Tuner> {
+        while tuner.prepare().unwrap() < 1.0 {}
+        tuner
     }
 
     /// A made-up drive: good where the parameters are large.
@@ -210,15 +256,16 @@ mod tests {
     fn every_tuner_goes_on_from_what_it_saved_at_any_step() {
         for name in NAMES {
             let config = config(name);
-            let mut calm = tuner(name, &config);
+            let mut calm = ready(tuner(name, &config));
             while !calm.is_finished() {
                 serve_all(&mut *calm);
             }
-            let mut resumed = tuner(name, &config);
+            let mut resumed = ready(tuner(name, &config));
             loop {
                 let saved = resumed.save();
                 resumed = tuner(name, &config);
                 assert!(resumed.restore(&saved), "{name}");
+                resumed = ready(resumed);
                 assert_eq!(resumed.save(), saved, "{name}");
                 if resumed.is_finished() {
                     break;
@@ -236,13 +283,14 @@ mod tests {
             row in 0..NAMES.len(), steps in 0usize..40, at in 0.0..1.0, bytes: [u8; 4], cut: bool,
         ) {
             let config = config(NAMES[row]);
-            let mut saving = tuner(NAMES[row], &config);
+            let mut saving = ready(tuner(NAMES[row], &config));
             (0..steps).for_each(|_| serve_all(&mut *saving));
             let mut saved = saving.save();
             let at = (at * saved.len() as f64) as usize;
             if cut { saved.truncate(at) } else { saved.splice(at..(at + 4).min(saved.len()), bytes); }
             let mut tuner = tuner(NAMES[row], &config);
             if tuner.restore(&saved) {
+                tuner = ready(tuner);
                 (0..steps).for_each(|_| serve_all(&mut *tuner));
             }
         }
@@ -253,7 +301,7 @@ mod tests {
         for name in NAMES {
             let config = config(name);
             let served = [true, false].map(|forwards| {
-                let mut tuner = tuner(name, &config);
+                let mut tuner = ready(tuner(name, &config));
                 // The messages have room for so many.
                 assert_eq!(tuner.learners() as usize, config.learners(), "{name}");
                 let mut steps = 0;
