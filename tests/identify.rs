@@ -113,6 +113,22 @@ fn values_are_found_written_and_brought_back() {
     near(found.speed_delay_s, truth.speed_delay_s, 0.1);
     near(found.steering_offset_rad, truth.steering_offset_rad, 0.1);
     assert_eq!(found.safety, vehicle(&sandbox, "car.toml").safety);
+    // Where it comes from, how well it is known, and how the odometry is off.
+    for part in [
+        "# Found by `pathtune identify`, version ",
+        "drive.csv (SHA-256 ",
+        "# Left by the fit: speed ",
+    ] {
+        assert!(text.contains(part), "{part:?} is missing in {text}");
+    }
+    let table: toml::Table = text.parse().unwrap();
+    assert_eq!(table["uncertainty"]["identified"].as_bool(), Some(true));
+    let interval = table["uncertainty"]["wheelbase_m"].as_array().unwrap();
+    let [low, high] = [0, 1].map(|end: usize| interval[end].as_float().unwrap());
+    assert!(low <= found.wheelbase_m && found.wheelbase_m <= high && high - low < 0.05);
+    // Noise that is even over ± 0.03 m has a standard deviation of 0.03/√3 m.
+    near(table["noise"]["position_sd_m"].as_float().unwrap(), 0.0173, 0.15);
+    near(table["noise"]["speed_sd_mps"].as_float().unwrap(), 0.0115, 0.4);
     assert_eq!(sandbox.text("car.toml.before-1"), FILE);
 
     // The same drive has nothing more to tell.

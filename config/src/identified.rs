@@ -1,15 +1,78 @@
-//! Values that were identified, put into a vehicle's file: from text to text, without files.
+//! What was identified, put into a vehicle's file: from text to text, without files.
 //!
-//! Everything else in the text stays as it is, including comments and order.
+//! Everything else in the text stays as it is, including comments and order. `[uncertainty]` alone is replaced as a whole:
+//! intervals of an earlier drive and those of this one would not belong together.
 
 use toml::Value;
 use toml_edit::{DocumentMut, Item, Table};
 
-/// Puts numbers into the text of a vehicle's file. A key may lie in a table, as in `ros2.odometry_point_m`.
+/// What is put into a vehicle's file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Found {
+    /// Keys and values. A key may lie in a table, as in `ros2.odometry_point_m`.
+    pub values: Vec<(String, f64)>,
+    /// For keys of the vehicle, the 95 % interval.
+    pub intervals: Vec<(String, [f64; 2])>,
+    /// Where all that comes from, line by line: a comment above `[uncertainty]`.
+    pub provenance: Vec<String>,
+}
+
+/// Puts what was found into the text of a vehicle's file.
 ///
 /// # Errors
 /// If the text is not TOML, a key cannot be put there, or anything else would change.
-pub fn put_values(text: &str, values: &[(String, f64)]) -> Result<String, String> {
+pub fn put_found(text: &str, found: &Found) -> Result<String, String> {
+    let text = put_values(text, &found.values)?;
+    if found.intervals.is_empty() {
+        return Ok(text);
+    }
+    let mut document: DocumentMut = text.parse().map_err(|error| format!("{error}"))?;
+    let mut stated = Table::new();
+    stated.insert("identified", toml_edit::value(true));
+    for (key, [low, high]) in &found.intervals {
+        let interval: toml_edit::Array = [*low, *high].into_iter().collect();
+        stated.insert(key, toml_edit::value(interval));
+    }
+    let mut above = String::from("\n");
+    for line in &found.provenance {
+        // A line end in the name of a file would leave the comment.
+        let line: String = line.chars().map(|it| if it.is_control() { '?' } else { it }).collect();
+        above += &format!("# {line}\n");
+    }
+    stated.decor_mut().set_prefix(above);
+    match document.get(UNCERTAINTY) {
+        None => {}
+        Some(Item::Table(old)) => match old.position() {
+            Some(position) => stated.set_position(Some(position)),
+            None => return Err(format!("{UNCERTAINTY}: write it as a table, [{UNCERTAINTY}]")),
+        },
+        Some(_) => {
+            return Err(format!(
+                "{UNCERTAINTY}: is written within a line; write it as a table, [{UNCERTAINTY}]"
+            ));
+        }
+    }
+    document.insert(UNCERTAINTY, Item::Table(stated));
+    let mut new = document.to_string();
+    if text.contains("\r\n") {
+        new = new.replace("\r\n", "\n").replace('\n', "\r\n");
+    }
+    let without = |text: &str| -> Result<toml::Table, String> {
+        let mut table: toml::Table = text.parse().map_err(|error| format!("{error}"))?;
+        table.remove(UNCERTAINTY);
+        Ok(table)
+    };
+    if without(&text)? != without(&new)? {
+        return Err("cannot be edited without changing its other keys".to_owned());
+    }
+    Ok(new)
+}
+
+/// The table of the intervals.
+const UNCERTAINTY: &str = "uncertainty";
+
+/// Puts numbers into the text of a vehicle's file.
+fn put_values(text: &str, values: &[(String, f64)]) -> Result<String, String> {
     let mut document: DocumentMut = text.parse().map_err(|error| format!("{error}"))?;
     for (key, value) in values {
         let mut at: &mut Table = document.as_table_mut();
@@ -81,6 +144,30 @@ mod tests {
         assert_eq!(put_values(&new, &values).unwrap(), new);
         let windows = put_values(&text.replace('\n', "\r\n"), &values).unwrap();
         assert_eq!(windows, new.replace('\n', "\r\n"));
+    }
+
+    #[test]
+    fn intervals_replace_those_of_an_earlier_drive_and_say_where_they_come_from() {
+        let text =
+            "# Mine.\nwheelbase_m = 2.9 # by tape\n\n[safety]\n# Softly.\njerk_limit_mps3 = 60.0\n";
+        let found = |low: f64, from: &str| Found {
+            values: vec![("wheelbase_m".to_owned(), low + 0.01)],
+            intervals: vec![("wheelbase_m".to_owned(), [low, low + 0.02])],
+            provenance: vec![format!("Found in {from}"), "a\nb = 3".to_owned()],
+        };
+        let first = put_found(text, &found(2.86, "one.mcap")).unwrap();
+        for part in ["# by tape", "# Softly.", "\n# Found in one.mcap\n# a?b = 3\n[uncertainty]\n"]
+        {
+            assert!(first.contains(part), "{first}");
+        }
+        let table: toml::Table = first.parse().unwrap();
+        assert_eq!(table["uncertainty"]["identified"].as_bool(), Some(true));
+        assert_eq!(table["uncertainty"]["wheelbase_m"][1].as_float(), Some(2.88));
+        let second = put_found(&first, &found(2.87, "two.mcap")).unwrap();
+        assert!(second.contains("two.mcap") && !second.contains("one.mcap"), "{second}");
+        assert_eq!(second.matches("[uncertainty]").count(), 1, "{second}");
+        let why = put_found("uncertainty = { mass_kg = 3.0 }\n", &found(2.0, "x")).unwrap_err();
+        assert!(why.contains("[uncertainty]"), "{why}");
     }
 
     #[test]

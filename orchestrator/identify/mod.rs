@@ -72,7 +72,8 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
             "warnings": &warnings,
         }),
         warnings,
-        values: values(&found),
+        found: for_file(&found),
+        drives: args.drives.clone(),
         refusal,
     };
     commands::conclude(&report, &args.vehicle, args.json, args.write)
@@ -82,6 +83,54 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
 fn values(found: &Identification) -> Vec<(String, f64)> {
     let changed = |row: &&identification::Row| row.identified && row.after != row.before;
     found.rows.iter().filter(changed).map(|row| (row.key.to_owned(), row.after)).collect()
+}
+
+/// What goes into the vehicle's file: values, intervals, noise, and what the fit left.
+fn for_file(found: &Identification) -> config::identified::Found {
+    let mut values = values(found);
+    let noise = found.noise;
+    // Four digits that count are more than an estimate has.
+    let mut put = |key: &str, value: f64| {
+        let digits = 4 - value.abs().max(1e-9).log10().floor() as i32;
+        let factor = 10.0_f64.powi(digits);
+        values.push((format!("noise.{key}"), (value * factor).round() / factor));
+    };
+    put("position_sd_m", noise.position_sd_m);
+    put("heading_half_width_rad", noise.heading_half_width_rad);
+    put("speed_sd_mps", noise.speed_sd_mps);
+    if let Some(sd_radps) = noise.yaw_rate_sd_radps {
+        put("yaw_rate_sd_radps", sd_radps);
+    }
+    // Keys of a part, as of the adapter, have no interval in the file.
+    let rows = found.rows.iter().filter(|row| row.identified && !row.key.contains('.'));
+    let around = |row: &identification::Row| {
+        let [low, high] = row.interval?;
+        // The value is rounded, and may lie just outside.
+        Some((row.key.to_owned(), [low.min(row.after), high.max(row.after)]))
+    };
+    let left = found.residuals;
+    let rate = left
+        .yaw_rate_radps
+        .map_or_else(String::new, |it| format!(", yaw rate {:.2} mrad/s", 1e3 * it));
+    let mut provenance = vec![
+        format!(
+            "Fitted: {:.1} s of {:.1} s, {:.1} s of them moving.",
+            found.fitted_s, found.recorded_s, found.moving_s
+        ),
+        format!(
+            "Left by the fit: speed {:.2} cm/s{rate}, position {:.2} cm, heading {:.2} mrad.",
+            1e2 * left.speed_mps,
+            1e2 * left.position_m,
+            1e3 * left.heading_rad
+        ),
+    ];
+    for it in &found.predictions {
+        provenance.push(format!(
+            "Predicted over {} s, where no fit has seen the drive: off by {:.3} m; with the values before, {:.3} m.",
+            it.over_s, it.after_m, it.before_m
+        ));
+    }
+    config::identified::Found { values, intervals: rows.filter_map(around).collect(), provenance }
 }
 
 fn refusal(found: &Identification) -> Option<String> {

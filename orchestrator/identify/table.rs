@@ -71,7 +71,8 @@ pub(super) fn notes(
         .collect();
     let noise = found.noise;
     notes.push(format!(
-        "noise of the odometry: --set noise.position_sd_m={:.4} --set noise.heading_half_width_rad={:.4}",
+        "noise of the odometry: position {:.4} m, heading ± {:.4} rad; --write puts it into [noise], which drives with --noise \
+         use",
         noise.position_sd_m, noise.heading_half_width_rad
     ));
     notes.extend(found.drive_next.iter().map(|next| format!("not identified: drive {next}")));

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use config::{Layers, Vehicle, identified};
 use serde_json::Value;
+use sha2::{Digest, Sha256};
 
 use crate::runs::vehicle_file::VehicleFile;
 use crate::words::Failure;
@@ -23,8 +24,10 @@ pub struct Identified {
     pub warnings: Vec<String>,
     /// All of it for scripts.
     pub json: Value,
-    /// The values for the vehicle's file.
-    pub values: Vec<(String, f64)>,
+    /// What is for the vehicle's file; of where it comes from, what the fit itself knows.
+    pub found: identified::Found,
+    /// The recordings.
+    pub drives: Vec<PathBuf>,
     /// Why the values are not to be written, if they are not.
     pub refusal: Option<String>,
 }
@@ -74,20 +77,53 @@ pub fn conclude(found: &Identified, file: &Path, json: bool, write: bool) -> Res
     if let Some(why) = &found.refusal {
         return Err(Failure::User(format!("{}: nothing was written: {why}", file.display())));
     }
-    let kept = write_values(file, &found.values)?;
+    let mut for_file = found.found.clone();
+    for_file.provenance.splice(0..0, provenance(&found.drives)?);
+    let kept = write_found(file, &for_file)?;
     if !json {
         say!(
             "{}: {} values written; the file as it was is {}, and `pathtune identify --rollback --vehicle {0}` brings it back",
             file.display(),
-            found.values.len(),
+            for_file.values.len(),
             kept.display(),
         );
     }
     Ok(())
 }
 
-/// Puts values into a vehicle's file, whose text is kept beside it; returns where.
-fn write_values(file: &Path, values: &[(String, f64)]) -> Result<PathBuf, Failure> {
+/// When, by which program, and from which recordings.
+fn provenance(drives: &[PathBuf]) -> Result<Vec<String>, Failure> {
+    let now = jiff::Timestamp::now().strftime("%Y-%m-%d %H:%M:%S UTC");
+    let version = env!("CARGO_PKG_VERSION");
+    let mut lines = vec![format!("Found by `pathtune identify`, version {version}, {now}, in")];
+    for drive in drives {
+        let fail = |error| Failure::User(format!("{}: {error}", drive.display()));
+        let mut hash = HashedBytes(Sha256::new());
+        let mut text = config::open_regular(drive).map_err(fail)?;
+        std::io::copy(&mut text, &mut hash).map_err(fail)?;
+        let hash: String = hash.0.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        let name = fs::canonicalize(drive).unwrap_or_else(|_| drive.clone());
+        lines.push(format!("  {} (SHA-256 {hash})", name.display()));
+    }
+    Ok(lines)
+}
+
+/// Hashes what is written into it, so that a recording of any length is read in small parts.
+struct HashedBytes(Sha256);
+
+impl std::io::Write for HashedBytes {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Puts what was found into a vehicle's file, whose text is kept beside it; returns where.
+fn write_found(file: &Path, found: &identified::Found) -> Result<PathBuf, Failure> {
     let fail = |why: String| Failure::User(format!("{}: {why}", file.display()));
     if !file.is_file() {
         return Err(fail(
@@ -95,7 +131,7 @@ fn write_values(file: &Path, values: &[(String, f64)]) -> Result<PathBuf, Failur
         ));
     }
     let target = VehicleFile::lock(file)?;
-    let text = identified::put_values(&target.text, values).map_err(fail)?;
+    let text = identified::put_found(&target.text, found).map_err(fail)?;
     let number = last_kept(file).map_or(1, |last| last + 1);
     let kept = kept_as(file, number);
     fs::write(&kept, &target.text)
