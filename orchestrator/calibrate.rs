@@ -25,6 +25,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
         from: Vec::new(),
         speeds: Vec::new(),
         path: args.path.clone(),
+        reading: args.reading.clone(),
         vehicle: args.vehicle.clone(),
         law: args.law.clone(),
         set: args.set.clone(),

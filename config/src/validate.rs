@@ -113,9 +113,14 @@ fn path(config: &RunConfig) -> Result<(), Problem> {
     if limit_rad < config.vehicle.steering_limit_rad {
         // The law turns the wheels no farther than this.
         let limited = Vehicle { steering_limit_rad: limit_rad, ..config.vehicle.clone() };
-        points::validate(path, &limited, &config.supervisor, reference_mps).map_err(|(key, problem)| {
-            (key, problem.replace("vehicle.steering_limit_rad", "controller.steering_limit_rad"))
-        })?;
+        points::validate(path, &limited, &config.supervisor, reference_mps).map_err(
+            |(key, problem)| {
+                (
+                    key,
+                    problem.replace("vehicle.steering_limit_rad", "controller.steering_limit_rad"),
+                )
+            },
+        )?;
     } else {
         points::validate(path, &config.vehicle, &config.supervisor, reference_mps)?;
     }

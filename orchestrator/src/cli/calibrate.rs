@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::cli::PathReading;
+
 /// Options of `calibrate`.
 #[derive(Debug, Args)]
 #[command(
@@ -40,6 +42,9 @@ pub struct CalibrateArgs {
     /// A path of your own, as for `drive`
     #[arg(long, value_name = "FILE", conflicts_with = "what")]
     pub path: Option<PathBuf>,
+    /// How its file is read.
+    #[command(flatten)]
+    pub reading: PathReading,
     /// The vehicle: a preset, or a file that overrides keys of the default vehicle
     #[arg(long, value_name = "NAME|FILE")]
     pub vehicle: Option<String>,

@@ -107,7 +107,8 @@ pub(crate) fn layers<'a>(
     // A configuration with a mistake has one message, that of the mistake.
     let borrowed = layers.borrowed().filter(|_| !args.quiet);
     let notes = if args.tells_of_path { layers.notes() } else { &[] };
-    let lines: Vec<&str> = borrowed.into_iter().chain(notes.iter().map(String::as_str)).collect();
+    let lines: Vec<&str> =
+        borrowed.as_deref().into_iter().chain(notes.iter().map(String::as_str)).collect();
     if !lines.is_empty() && layers.clone().resolve().is_ok() {
         for line in lines {
             tell!("pathtune: {line}");

@@ -150,6 +150,8 @@ impl Probe {
         let mut zones = config.path.zones.clone();
         zones.truncate(1);
         straight.path = PathConfig {
+            name: String::new(),
+            widths_m: Vec::new(),
             start: config::PoseConfig { x_m: 0.0, y_m: 0.0, yaw_rad: 0.0 },
             pieces: vec![Piece::Straight { length_m }],
             points: Vec::new(),
