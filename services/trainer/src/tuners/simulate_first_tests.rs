@@ -80,7 +80,8 @@ fn drive(tuner: &mut SimulateFirst, car: &RunConfig, budget: usize) -> (Paramete
     tuner.budget = budget;
     tuner.next = tuner.choose();
     while let Some(ask) = tuner.wanted(0) {
-        let record = rollout.drive(ask.parameters, Some(ask.seed));
+        let noise = tuner.config.noise.enabled.then_some(ask.seed);
+        let record = rollout.drive(ask.parameters, noise);
         tuner.tell(&ask, &record, objective.of(&record));
     }
     let beyond = tuner.driven.iter().filter(|it| it.record.path_max_m > tuner.within_m).count();
