@@ -3,6 +3,8 @@
 //!
 //! `PATHTUNE_ENVELOPE_DRIVES` is how many drives are calibrated on, and about how many are judged: few by default.
 
+#![allow(clippy::disallowed_methods, reason = "a test")]
+
 use config::{Envelope, Layers, Parameters, RunConfig};
 use rollout::{Plant, Rollout};
 use simulator::{Observation, SimulatedVehicle};

@@ -37,6 +37,7 @@ pub mod schedule;
 mod search;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod simulate_first;
 mod single;
 mod statistics;

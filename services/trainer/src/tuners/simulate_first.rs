@@ -70,7 +70,8 @@ impl SimulateFirst {
         let driven = &self.driven[..drives];
         let left = |number: usize| {
             let of_set = driven.iter().filter(|it| it.candidate as usize == number);
-            of_set.clone().any(|it| !(it.record.path_max_m <= self.within_m))
+            let max_m = |it: &Driven| it.record.path_max_m;
+            of_set.clone().any(|it| max_m(it).is_nan() || max_m(it) > self.within_m)
         };
         let all = || driven.iter().map(|it| it.candidate as usize);
         belief.best(all().filter(|it| !left(*it))).or_else(|| belief.best(all()))
