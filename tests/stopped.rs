@@ -89,7 +89,13 @@ fn a_stopped_validation_keeps_its_whole_rows() {
         (1..20).contains(&rows.len()) && after == format!("{} of 20 sets", rows.len()),
         "{after}"
     );
-    assert_eq!(rows[0], whole["rows"][0]);
+    // What a set does on other plants is asked at the end of a validation, beside the drives.
+    let driven = |row: &serde_json::Value| {
+        let mut row = row.clone();
+        row.as_object_mut().unwrap().remove("plants");
+        row
+    };
+    assert_eq!(driven(&rows[0]), driven(&whole["rows"][0]));
 }
 
 #[test]

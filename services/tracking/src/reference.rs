@@ -405,7 +405,7 @@ mod tests {
         };
         for ramp_s in ["0.0", "1.0", "20.0", "60.0"] {
             check("x_m,y_m\n0,0\n7,0\n14,1\n", ramp_s);
-            check("x_m,y_m,v_mps\n0,0,0.2\n7,0,8\n14,1,0.3\n", ramp_s);
+            check("x_m,y_m,v_mps\n0,0,0.2\n7,0,5\n14,1,0.3\n", ramp_s);
         }
     }
 

@@ -4,7 +4,7 @@ use config::{ChannelScale, ENVELOPE_CHANNELS};
 
 use super::evidence::Look;
 use super::rank::Guarantee;
-use super::score::{KNOT, at, deviation, is_by_time};
+use super::score::{KNOT, at, deviation, is_by_time, is_calibrated};
 
 /// Blocks to each side over which the standard deviation of a channel that depends on time is pooled: few drives would
 /// tell little of a single block.
@@ -73,7 +73,7 @@ impl DriveTrace {
         if is_by_time(channel) {
             let ages = self.by_time[channel].iter().enumerate();
             return ages
-                .filter(|(_, value)| !value.is_nan())
+                .filter(|(age, value)| !value.is_nan() && is_calibrated(mean, *age))
                 .map(|(age, value)| deviation(channel, *value, at(mean, age), at(sd, age)))
                 .fold(0.0, f64::max);
         }

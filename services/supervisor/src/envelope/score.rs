@@ -43,7 +43,13 @@ pub(super) fn deviation(channel: usize, value: f64, mean: f64, sd: f64) -> f64 {
     }
 }
 
-/// Mean or standard deviation at an age, between the numbers of every half second; the last one holds from there on.
+/// Whether enough calibrated drives were as old as this; of what comes later nothing is known.
+#[inline]
+pub(super) fn is_calibrated(numbers: &[f64], age: usize) -> bool {
+    age < numbers.len() * KNOT
+}
+
+/// Mean or standard deviation at an age, between the numbers of every half second.
 #[inline]
 pub(super) fn at(numbers: &[f64], age: usize) -> f64 {
     let last = numbers.len() - 1;
@@ -123,8 +129,8 @@ impl Envelope {
         for (channel, scale) in self.file.channels.iter().enumerate() {
             let age = match look.age {
                 _ if !is_by_time(channel) => 0,
-                Some(age) => age,
-                None => continue,
+                Some(age) if is_calibrated(&scale.mean, age) => age,
+                _ => continue,
             };
             let (mean, sd) = (at(&scale.mean, age), at(&scale.sd, age));
             let share = deviation(channel, look.values[channel], mean, sd) / scale.limit;
