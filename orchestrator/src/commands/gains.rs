@@ -256,7 +256,7 @@ fn promote(
         && !force
     {
         return Err(Failure::User(format!(
-            "{}: the set is fragile, {why}; train with --over default for a steadier one, or insist with --force",
+            "{}: the set is fragile, {why}; for a steadier one train with --over default or with another law; or insist with --force",
             run.display()
         )));
     }

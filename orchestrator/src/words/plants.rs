@@ -94,7 +94,7 @@ pub(crate) fn margin(it: &Margin) -> String {
 pub(crate) fn verdict(it: &PlantCheck) -> String {
     match &it.fragile {
         Some(why) => format!(
-            "the set is fragile: {why}. It may shake on the car; train with --over default, or take a steadier set"
+            "the set is fragile: {why}. It may shake on the car; train with --over default or with another law, or take a steadier set"
         ),
         None => {
             let known = it.margin.as_ref().and_then(|it| it.additional_dead_time_s);
