@@ -174,8 +174,10 @@ message!(
 
 constants!(
     RawCommand:
-    /// The reference stands still: the controller has heard that the gate stops the vehicle.
+    /// The controller has heard that the gate stops the vehicle: the reference comes to rest, or stands.
     pub const FROZEN: u32 = 1 << 16;
+    /// With `FROZEN`: the stop is one with the wheels straight.
+    pub const STRAIGHTENED: u32 = 1 << 17;
 );
 
 message!(
@@ -211,12 +213,16 @@ constants!(
     pub const STEERING_RATE_LIMITED: u32 = 32;
     /// The gate bounded speed or steering angle for the lateral acceleration.
     pub const LATERAL_LIMITED: u32 = 64;
-    /// The gate slows down, with the steering held, and goes on when what it misses comes back.
+    /// The gate slows down, and goes on when what is wrong has passed.
     pub const DEGRADED: u32 = 128;
-    /// The gate brings the vehicle to a stop, straight on, and then holds it until it is rearmed.
+    /// The gate brings the vehicle to a stop, and then holds it until it is rearmed.
     pub const STOPPING: u32 = 256;
     /// The vehicle stands, and is held until it is rearmed.
     pub const STOPPED: u32 = 512;
+    /// The gate brakes the vehicle as hard as its limits allow.
+    pub const BRAKED: u32 = 1024;
+    /// Degraded or stopping, the law goes on steering, and the reference's clock comes to rest.
+    pub const STEERED: u32 = 2048;
 );
 
 message!(
@@ -237,8 +243,8 @@ message!(
         /// [`RawCommand::phase_ticks`] of the last answer.
         pub phase_ticks: f64,
         /// The rate at which the reference's clock is to run on from the tick after `tick`, in ticks of the clock in a
-        /// tick of the vehicle: 1, less while the reference waits for a vehicle that does not follow, and 0 while the
-        /// gate slows down or stops the vehicle.
+        /// tick of the vehicle: 1, less while the reference waits for a vehicle that does not follow; it falls to 0 while
+        /// the gate slows down or stops the vehicle.
         pub clock_rate: f64,
         /// [`Safety::NORMAL`] or one of the values that follow it.
         pub state: u32,
@@ -255,9 +261,9 @@ constants!(
     Safety:
     /// Value of `state`: commands pass, within limits.
     pub const NORMAL: u32 = 0;
-    /// Value of `state`: slowing down with the steering held, for a moment.
+    /// Value of `state`: slowing down, for a moment.
     pub const DEGRADED: u32 = 1;
-    /// Value of `state`: coming to a stop, straight on; nothing but a rearm leads back to normal.
+    /// Value of `state`: coming to a stop; nothing but a rearm leads back to normal.
     pub const STOPPING: u32 = 2;
     /// Value of `state`: standing, until it is rearmed.
     pub const STOPPED: u32 = 3;
@@ -290,6 +296,19 @@ constants!(
     /// that a vehicle that something else holds drives on when it is let go.
     pub const STANDS: u32 = 4096;
 
+    /// Bit of `reasons`: out of the envelope of calibrated drives by the quality of tracking.
+    pub const OUT_BY_QUALITY: u32 = 1 << 17;
+    /// Bit of `reasons`: out of the envelope by the mean lateral tracking error.
+    pub const OUT_BY_LATERAL_ERROR: u32 = 1 << 18;
+    /// Bit of `reasons`: out of the envelope by how far it came along its heading.
+    pub const OUT_BY_ALONG: u32 = 1 << 19;
+    /// Bit of `reasons`: out of the envelope by how far it came to the side.
+    pub const OUT_BY_LATERAL: u32 = 1 << 20;
+    /// Bit of `reasons`: out of the envelope by how far it turned.
+    pub const OUT_BY_YAW: u32 = 1 << 21;
+    /// Bit of `reasons`: out of the envelope by how much the measured pose jumps from tick to tick.
+    pub const OUT_BY_NOISE: u32 = 1 << 22;
+
     /// Bit of `reasons`: the vehicle was not rearmed, because no leg of the path within its reach fits its heading.
     pub const NO_LEG: u32 = 1 << 16;
 
@@ -298,7 +317,36 @@ constants!(
         | Self::PATH_HEADING
         | Self::STEERING_REVERSED
         | Self::STEERING_IGNORED
-        | Self::SPEED_IGNORED;
+        | Self::SPEED_IGNORED
+        | Self::OUT_OF_ENVELOPE;
+
+    /// The bits of `reasons` for a vehicle that is out of the envelope of calibrated drives. Any of them stops it at once.
+    pub const OUT_OF_ENVELOPE: u32 = Self::OUT_BY_QUALITY
+        | Self::OUT_BY_LATERAL_ERROR
+        | Self::OUT_BY_ALONG
+        | Self::OUT_BY_LATERAL
+        | Self::OUT_BY_YAW
+        | Self::OUT_BY_NOISE;
+    /// The bits of `reasons` that say that pose or answers are missing.
+    pub const BLIND: u32 = Self::COMMAND_STALE
+        | Self::COMMAND_INVALID
+        | Self::ODOMETRY_STALE
+        | Self::ODOMETRY_INVALID
+        | Self::ODOMETRY_JUMP
+        | Self::TIME_BACK;
+    /// A stop for one of these bits of `reasons` is a full brake with the wheels straight.
+    pub const STRAIGHTENS: u32 = Self::BLIND | Self::STEERING_REVERSED;
+    /// A stop for one of these bits of `reasons`, and none of those, is a full brake that the law goes on steering.
+    pub const BRAKES: u32 = Self::RESTARTED
+        | Self::PATH_DISTANCE
+        | Self::PATH_HEADING
+        | Self::STEERING_IGNORED
+        | Self::SPEED_IGNORED
+        | Self::OUT_BY_QUALITY
+        | Self::OUT_BY_LATERAL_ERROR
+        | Self::OUT_BY_YAW;
+    /// For one of these bits of `reasons`, and none of those, the reference comes to rest, and the vehicle with it.
+    pub const RESTS: u32 = Self::OUT_BY_ALONG | Self::OUT_BY_LATERAL | Self::OUT_BY_NOISE;
 );
 
 message!(
@@ -658,6 +706,8 @@ impl Command {
             (Self::DEGRADED, "degraded"),
             (Self::STOPPING, "stopping"),
             (Self::STOPPED, "stopped"),
+            (Self::BRAKED, "braked"),
+            (Self::STEERED, "steered"),
         ];
         those(flags, &names)
     }
@@ -710,8 +760,49 @@ impl Safety {
             "stands",
             "it stands although it is commanded to drive (something holds it, or it ignores commands)",
         ),
+        (
+            Self::OUT_BY_QUALITY,
+            "envelope_quality",
+            "it tracks worse than the calibrated drives did (quality)",
+        ),
+        (
+            Self::OUT_BY_LATERAL_ERROR,
+            "envelope_lateral_error",
+            "it is farther beside the reference than the calibrated drives were",
+        ),
+        (
+            Self::OUT_BY_ALONG,
+            "envelope_along",
+            "it comes forward otherwise than its speed says, and than in the calibrated drives",
+        ),
+        (
+            Self::OUT_BY_LATERAL,
+            "envelope_lateral",
+            "it is carried to the side more than in the calibrated drives",
+        ),
+        (
+            Self::OUT_BY_YAW,
+            "envelope_yaw",
+            "it turns otherwise than it is steered, more than in the calibrated drives",
+        ),
+        (
+            Self::OUT_BY_NOISE,
+            "envelope_noise",
+            "its measured pose jumps more than in the calibrated drives",
+        ),
         (Self::NO_LEG, "no_leg", "no leg of the path within its reach fits its heading"),
     ];
+
+    /// What a stop for these bits of `reasons` is, in words.
+    pub fn action_words(reasons: u32) -> &'static str {
+        if reasons & Self::STRAIGHTENS != 0 {
+            "a full brake with the wheels straight"
+        } else if reasons & Self::BRAKES != 0 {
+            "a full brake, steered along the path"
+        } else {
+            "it follows its reference to a standstill"
+        }
+    }
 
     /// The names of what is wrong, as [`Safety::reasons`] has it.
     pub fn reason_names(reasons: u32) -> Vec<&'static str> {

@@ -116,6 +116,8 @@ struct Slot {
     /// The zone whose parameters the next tick must have.
     awaited: Option<u32>,
     clock: ReferenceClock,
+    /// The gate stops the vehicle with its wheels straight.
+    is_straightened: bool,
 }
 
 /// What was computed in the last tick.
@@ -375,6 +377,7 @@ impl Slot {
             joined: false,
             awaited: None,
             clock: ReferenceClock::default(),
+            is_straightened: false,
         }
     }
 
@@ -416,6 +419,8 @@ impl Slot {
     fn hear_gate(&mut self, safety: Option<Safety>, is_final: bool) {
         let Some(Safety { state, reasons, .. }) = safety else { return };
         let is_stopped = state == Safety::STOPPING || state == Safety::STOPPED;
+        let is_straight = self.is_straightened || reasons & Safety::STRAIGHTENS != 0;
+        self.is_straightened = is_stopped && is_straight;
         self.drive.hear_gate(GateWord {
             reasons,
             is_stopped,
@@ -483,7 +488,8 @@ impl Slot {
     fn raw_command(&self) -> RawCommand {
         let command = self.answer.command;
         let flags = if self.record.is_some() { Command::ENDED } else { 0 }
-            | if self.clock.is_frozen() { RawCommand::FROZEN } else { 0 };
+            | if self.clock.is_frozen() { RawCommand::FROZEN } else { 0 }
+            | if self.is_straightened { RawCommand::STRAIGHTENED } else { 0 };
         RawCommand {
             speed_mps: command.speed_mps,
             yaw_rate_radps: command.yaw_rate_radps,

@@ -163,7 +163,7 @@ impl<P: Plant> Rollout<P> {
             pace.update(tick, pose, progress);
             let gate = gate_word(&watch);
             self.controller.hear_gate(gate);
-            rate = Some(if watch.state() == State::Normal { pace.rate() } else { 0.0 });
+            rate = Some(watch.clock_rate(pace.rate()));
             let entered = self.zones.update(pose, along_m);
             if entered != zone && by_zone.len() > 1 {
                 self.controller.switch_parameters(by_zone[entered]);

@@ -171,6 +171,14 @@ impl Gate {
         self.shape(dt_s, 0.0, self.limits.stop_mps2, self.steering_rad)
     }
 
+    /// A command of the gate's own: as fast as the limits allow to this speed, 0 or less, and steered as wanted. Steering
+    /// that is not finite is held.
+    pub fn brake(&mut self, dt_s: f64, speed_mps: f64, wanted_rad: f64) -> Passed {
+        let wanted_rad = if wanted_rad.is_finite() { wanted_rad } else { self.steering_rad };
+        let speed_mps = speed_mps.min(0.0).max(-self.limits.reverse_mps);
+        self.shape(dt_s, speed_mps, f64::INFINITY, wanted_rad)
+    }
+
     /// A command of the gate's own: slower, and straight on.
     pub fn stop(&mut self, dt_s: f64) -> Passed {
         self.shape(dt_s, 0.0, self.limits.stop_mps2, 0.0)

@@ -5,17 +5,19 @@ use ipc_types::Safety;
 
 /// Faults that are only told: a vehicle that stands is safe.
 const TOLD: u32 = Safety::STANDS;
-/// Faults that stop the vehicle at once: nobody can drive it, and whatever is told makes it worse.
-const AT_ONCE: u32 = Safety::STEERING_REVERSED;
+/// Faults that stop the vehicle at once: nobody can drive it, and whatever is told makes it worse; or they rest on
+/// seconds of evidence already.
+const AT_ONCE: u32 = Safety::STEERING_REVERSED | Safety::OUT_OF_ENVELOPE;
 
 /// How the vehicle is allowed to drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum State {
     /// Commands pass, within limits.
     Normal,
-    /// Something is missing or implausible: the vehicle slows down with its steering held, until all is well again.
+    /// Something is missing or implausible, or the vehicle does not drive as it should: it slows down until all is well
+    /// again.
     Degraded,
-    /// That lasted too long: the vehicle stops, steering straight.
+    /// That lasted too long: the vehicle stops, as the [`Ladder`](crate::Ladder) says.
     Stopping,
     /// The vehicle stands; only a rearm lets it drive again.
     Stopped,
@@ -85,7 +87,8 @@ impl Guard {
                     if lasts || faults & AT_ONCE != 0 { State::Stopping } else { State::Degraded };
             }
             State::Stopping => {
-                let stands = self.stands(commanded_mps, measured_mps);
+                // A negative command only brakes.
+                let stands = self.stands(commanded_mps.max(0.0), measured_mps);
                 // A speed that has not been measured lately says nothing.
                 if stands && faults & Safety::ODOMETRY_STALE == 0 {
                     self.state = State::Stopped;

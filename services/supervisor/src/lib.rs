@@ -1,6 +1,6 @@
 //! The paper's high-level supervisor: the safety gate in the command path, and the zones.
 //!
-//! [`Gate`], [`SpeedGovernor`], [`Plausibility`] and [`Guard`] are pure, and [`Watch`] joins them for one vehicle;
+//! [`Gate`], [`SpeedGovernor`], [`Plausibility`], [`Guard`] and [`Ladder`] are pure, and [`Watch`] joins them for one vehicle;
 //! [`service`] joins that to the pipeline.
 
 // Tests may read and write files, start threads, and know the time.
@@ -11,6 +11,7 @@ mod deviation;
 mod gate;
 mod governor;
 mod guard;
+mod ladder;
 mod mean;
 mod pace;
 mod plausibility;
@@ -25,6 +26,7 @@ pub use deviation::Deviation;
 pub use gate::{Change, Gate, Passed, RawCommand};
 pub use governor::SpeedGovernor;
 pub use guard::{Guard, State};
+pub use ladder::{Action, Ladder, Step};
 pub use pace::{Pace, Progress};
 pub use plausibility::{Movement, Plausibility};
 pub use response::Response;

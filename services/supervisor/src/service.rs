@@ -257,7 +257,8 @@ impl Slot {
                     State::Degraded => Command::DEGRADED,
                     State::Stopping => Command::STOPPING,
                     State::Stopped => Command::STOPPED,
-                },
+                }
+                | if self.ended { 0 } else { self.watch.action_flags() },
             zone: self.zone as u32,
         };
         (command, change.rejected)
@@ -265,7 +266,7 @@ impl Slot {
 
     /// The rate of the reference's clock from the next tick on.
     fn clock_rate(&self) -> f64 {
-        if self.watch.state() == State::Normal { self.pace.rate() } else { 0.0 }
+        self.watch.clock_rate(self.pace.rate())
     }
 
     /// Whether there is nothing left to do for the vehicle: its drive has ended, and it stands.

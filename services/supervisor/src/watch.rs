@@ -1,11 +1,11 @@
 //! Everything that the supervisor keeps for one vehicle: the movement that is believed, the state, and the gate.
 
 use config::RunConfig;
-use ipc_types::Safety;
+use ipc_types::{Command, Safety};
 
 use crate::{
-    Deviation, Gate, Guard, Movement, Passed, Plausibility, RawCommand, Response, SpeedGovernor,
-    State,
+    Action, Deviation, Gate, Guard, Ladder, Movement, Passed, Plausibility, RawCommand, Response,
+    SpeedGovernor, State, Step,
 };
 
 /// The supervisor of one vehicle.
@@ -17,6 +17,9 @@ pub struct Watch {
     response: Option<Response>,
     governor: SpeedGovernor,
     guard: Guard,
+    ladder: Ladder,
+    /// What the ladder made of the last tick.
+    step: Step,
     gate: Gate,
     /// What was wrong with the last odometry.
     odometry_faults: u32,
@@ -36,6 +39,8 @@ impl Watch {
             response: Response::new(config),
             governor: SpeedGovernor::new(config),
             guard: Guard::new(config),
+            ladder: Ladder::new(config),
+            step: Step::Pass,
             gate: Gate::new(config),
             odometry_faults: 0,
             speed_mps: 0.0,
@@ -120,10 +125,19 @@ impl Watch {
         let mut faults = faults | missing;
         faults |= self.odometry_faults | self.drive_faults();
         let state = self.guard.update(dt_s, faults, self.gate.speed_mps(), self.speed_mps);
-        let mut passed = match (state, usable) {
-            (State::Normal, Some(usable)) => self.gate.pass(dt_s, self.allowed_mps, usable),
-            (State::Normal | State::Degraded, _) => self.gate.slow_down(dt_s),
-            (State::Stopping | State::Stopped, _) => self.gate.stop(dt_s),
+        let (step, harder) =
+            self.ladder.step(dt_s, (state, self.guard.reasons()), faults, self.speed_mps);
+        if harder != 0 {
+            self.guard.stop(harder);
+        }
+        self.step = step;
+        let steering_rad = usable.map_or(f64::NAN, |usable| usable.steering_rad);
+        let mut passed = match (step, usable) {
+            (Step::Pass, Some(usable)) => self.gate.pass(dt_s, self.allowed_mps, usable),
+            (Step::Pass | Step::SlowDown, _) => self.gate.slow_down(dt_s),
+            (Step::Steered { speed_mps }, _) => self.gate.brake(dt_s, speed_mps, steering_rad),
+            (Step::Straight { speed_mps }, _) => self.gate.brake(dt_s, speed_mps, 0.0),
+            (Step::Stand, _) => self.gate.stop(dt_s),
         };
         passed.change.rejected |= missing == Safety::COMMAND_INVALID;
         if state == State::Normal {
@@ -151,6 +165,37 @@ impl Watch {
     /// Stops the vehicle for good.
     pub fn stop(&mut self, reasons: u32) {
         self.guard.stop(reasons);
+    }
+
+    /// Goes on with the stop that a predecessor began.
+    pub fn resume_stop(&mut self, action: Action) {
+        self.guard.stop(Safety::RESTARTED);
+        self.ladder.resume(action);
+    }
+
+    /// What is being done about an alarm.
+    pub fn action(&self) -> Option<Action> {
+        self.ladder.action()
+    }
+
+    /// What is being done about an alarm, as bits of [`Command::flags`].
+    pub fn action_flags(&self) -> u32 {
+        match (self.action(), self.step) {
+            (None, _) | (_, Step::SlowDown | Step::Stand) => 0,
+            (_, Step::Pass) => Command::STEERED,
+            (_, Step::Steered { .. }) => Command::BRAKED | Command::STEERED,
+            (_, Step::Straight { .. }) => Command::BRAKED,
+        }
+    }
+
+    /// How many times an action was begun, or a harder one took its place.
+    pub fn actions(&self) -> u64 {
+        self.ladder.count()
+    }
+
+    /// The rate of the reference's clock from the next tick on, where it would be `pace` if all were well.
+    pub fn clock_rate(&self, pace: f64) -> f64 {
+        pace * self.ladder.share()
     }
 
     /// Lets a stopped vehicle drive again; returns whether it may. `faults` are those of the loop.

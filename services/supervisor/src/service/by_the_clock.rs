@@ -8,6 +8,7 @@ use ipc_types::{
 use runtime::clock::now_ns;
 
 use super::{Slot, Supervisor, announce, tell_safety};
+use crate::Action;
 
 /// A batch in real time.
 pub(super) struct Clocked {
@@ -112,7 +113,9 @@ impl Supervisor {
             if joins {
                 slot.tracker.resume(raw.reference_along_m);
                 if has(raw.flags, RawCommand::FROZEN) {
-                    slot.watch.stop(Safety::RESTARTED);
+                    let is_straight = has(raw.flags, RawCommand::STRAIGHTENED);
+                    let action = if is_straight { Action::BrakeStraight } else { Action::Brake };
+                    slot.watch.resume_stop(action);
                 }
             }
             if let Some(zone) = slot.hear(header.tick, raw) {
@@ -159,7 +162,8 @@ impl Supervisor {
         let written = self.commands.write(slots.len(), |index| {
             let slot = &mut slots[index];
             // After a rearm the reference stands still until the controller has heard of it.
-            let is_frozen = has(slot.raw.flags, RawCommand::FROZEN);
+            let is_frozen =
+                has(slot.raw.flags, RawCommand::FROZEN) && !slot.watch.state().is_latched();
             let (command, rejected) = slot.command(dt_s, faults, is_answer && !is_frozen);
             counters.rejected += u64::from(rejected);
             command
