@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use orchestrator::House;
 
+mod calibrate;
 mod certify;
 mod identify;
 mod services;

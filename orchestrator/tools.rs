@@ -16,6 +16,8 @@ pub(crate) const TOOLS: Tools = Tools {
     record,
     replay,
     certify: crate::certify::certify,
+    calibrate: crate::calibrate::calibrate,
+    journal: crate::calibrate::journal::note,
     identify: identify::identify,
 };
 

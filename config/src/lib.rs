@@ -8,6 +8,7 @@
 //!
 //! SI units and radians throughout; the suffix of a key is its unit.
 
+mod envelope;
 mod error;
 mod files;
 mod grid;
@@ -32,6 +33,7 @@ mod tuned;
 mod validate;
 mod vehicles;
 
+pub use envelope::{ChannelScale, ENVELOPE_CHANNELS, Envelope, MadeFor, Promise};
 pub use error::ConfigError;
 pub use files::{open_regular, read_small};
 pub use grid::{Axes, Axis, Grid, GridAxis, GridPosition};

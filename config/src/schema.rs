@@ -51,6 +51,9 @@ pub struct RunConfig {
     /// On which plants a set is driven in a training.
     #[serde(default)]
     pub over: crate::Over,
+    /// The envelope that the supervisor holds drives to, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub envelope: Option<Box<crate::Envelope>>,
     /// The keys that differ from run to run.
     pub run: Run,
     /// The vehicle.

@@ -19,6 +19,9 @@ pub(crate) type Problem = (String, String);
 /// Finds the first value that is out of range, as (dotted key, problem).
 pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     let c = config;
+    if let Some(envelope) = &c.envelope {
+        envelope.check().map_err(|why| ("envelope".to_owned(), why))?;
+    }
     above("reference.speed_mps", c.reference.speed_mps, 0.0, 50.0)?;
     within("reference.ramp_s", c.reference.ramp_s, 0.0, 60.0)?;
     if c.reference.advance == Advance::Projection {

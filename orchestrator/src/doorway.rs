@@ -9,7 +9,8 @@ use runtime::limits;
 
 use crate::bench::bench;
 use crate::cli::{
-    CertifyArgs, Cli, Command, CompareArgs, IdentifyArgs, MonitorArgs, RecordArgs, ReplayArgs,
+    CalibrateArgs, CertifyArgs, Cli, Command, CompareArgs, IdentifyArgs, MonitorArgs, RecordArgs,
+    ReplayArgs,
 };
 use crate::commands;
 use crate::conformance::conformance;
@@ -46,6 +47,10 @@ pub struct Tools {
     pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
     /// Says what is certain of gains; returns whether what it was to verify holds.
     pub certify: fn(&CertifyArgs) -> Result<bool, Failure>,
+    /// Calibrates an envelope.
+    pub calibrate: fn(&CalibrateArgs) -> Result<(), Failure>,
+    /// Notes a drive's score beside the envelope's file, and says whether the car has changed.
+    pub journal: fn(&Path, &Path) -> Result<(), Failure>,
     /// Identifies a car from recorded drives.
     pub identify: fn(&IdentifyArgs) -> Result<(), Failure>,
 }
@@ -98,7 +103,11 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
     match command {
         Command::Train(args) => commands::train(&args, services).and_then(draw),
         Command::Validate(args) => commands::validate(&args, services).and_then(draw),
-        Command::Drive(args) => commands::drive(&args, services).and_then(draw),
+        Command::Drive(args) => commands::drive(&args, services).and_then(|ended| {
+            let folder = ended.folder.clone();
+            draw(ended)?;
+            args.envelope.as_deref().map_or(Ok(()), |file| (tools.journal)(file, &folder))
+        }),
         Command::Rearm { run, vehicle } => commands::rearm(run.name(), vehicle),
         Command::Grid(args) => commands::grid(&args, services).and_then(draw),
         Command::Compare(args) => (tools.compare)(&args),
@@ -107,6 +116,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Record(args) => (tools.record)(&args),
         Command::Replay(args) => return (tools.replay)(&args, services),
         Command::Certify(args) => return (tools.certify)(&args),
+        Command::Calibrate(args) => (tools.calibrate)(&args),
         Command::Bench(args) => bench(&args),
         Command::Monitor(args) => (tools.monitor)(args),
         Command::Status { run, json, iox2 } => commands::status(run.name(), json, iox2),

@@ -1,5 +1,6 @@
 //! The command line.
 
+mod calibrate;
 mod compare;
 mod excite;
 mod identify;
@@ -13,6 +14,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::StartAt;
 
+pub use calibrate::CalibrateArgs;
 pub use compare::CompareArgs;
 pub use excite::ExciteArgs;
 pub use identify::{CommandType, IdentifyArgs};
@@ -64,6 +66,8 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Say what is certain of gains before they are driven: margins, regions of attraction, and how the path's joints look
     Certify(Box<CertifyArgs>),
+    /// Learn what good drives with gains look like, so that the supervisor knows a drive that is none, with few false alarms
+    Calibrate(Box<CalibrateArgs>),
     /// Measure what a tick costs, compared with a bare ring that passes on the same bytes
     Bench(BenchArgs),
     /// Watch a living run: how long each hop takes, and how regular the ticks are
@@ -260,6 +264,9 @@ pub struct DriveArgs {
     /// Put noise on the odometry of our simulator
     #[arg(long)]
     pub noise: bool,
+    /// Hold the drive to an envelope that `calibrate` wrote for it: a drive that is out of it is stopped
+    #[arg(long, value_name = "FILE")]
+    pub envelope: Option<PathBuf>,
     /// Use one of our adapters instead of the simulator: ros2-vehicle; implies --realtime
     #[arg(long, value_name = "SERVICE", conflicts_with = "replace")]
     pub adapter: Option<String>,

@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use config::{Parameters, RunConfig, SweepKind, SweepPlan, TunedGains};
+use config::{
+    Envelope, MadeFor, Parameters, RunConfig, SweepKind, SweepPlan, TunedGains, read_small,
+};
 use outcome::{Outcome, RESULT_FILE, read_result};
 
 use crate::cli::DriveArgs;
@@ -28,11 +30,28 @@ pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Fa
     let mut config = layers.resolve()?;
     let (set, origin) = choose(args.gains.as_ref(), &args.from, &config)?;
     let note = describe(&config, &set, &origin);
+    if let Some(file) = &args.envelope {
+        config.envelope = Some(Box::new(envelope(file, &config, &set)?));
+    }
     config.run.fleet = 1;
     let realtime = config.run.realtime;
     let plan = SweepPlan { realtime, ..plan(&config, SweepKind::Drive, 0, &[set]) };
     let kind = Kind { name: "drive", vehicle: args.adapter.as_deref(), note: Some(&note) };
     sweep(&args.setup, config, services, plan, kind)
+}
+
+/// Reads an envelope, which must be one for this drive.
+fn envelope(file: &Path, config: &RunConfig, sets: &[Parameters]) -> Result<Envelope, Failure> {
+    let user = |why: String| Failure::User(format!("--envelope {}: {why}", file.display()));
+    let text = read_small(file).map_err(|why| user(why.to_string()))?;
+    let envelope = Envelope::parse(&text).map_err(user)?;
+    let gains = sets.iter().map(|set| config.law.named(set)).collect();
+    if let Some((what, there, here)) = envelope.made_for.difference(&MadeFor::of(config, gains)) {
+        return Err(user(format!(
+            "was calibrated for another drive: its {what} is {there}, and here it is {here}; calibrate one for this drive"
+        )));
+    }
+    Ok(envelope)
 }
 
 /// The parameters to drive with, and where they come from: named ones, those of trainings, those that were promoted to

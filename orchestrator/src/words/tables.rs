@@ -245,6 +245,21 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
             digits(it.path_speed_mps, 2)
         );
     }
+    if let Some(it) = &it.envelope {
+        let (score, threshold) = (digits(it.score, 2), digits(it.threshold, 2));
+        let worst = it.worst.replace('_', " ");
+        match (it.out_at_s, &it.out_by) {
+            (Some(at_s), Some(by)) => say!(
+                "out of its envelope after {} s, by {}: score {score}, where {threshold} is the limit",
+                digits(at_s, 1),
+                by.replace('_', " ")
+            ),
+            _ => say!(
+                "within its envelope: score {score} by {worst} over {} s, where {threshold} is the limit",
+                it.over_s
+            ),
+        }
+    }
     for (what, reasons) in [("stopped", &it.stopped_for), ("slowed down", &it.slowed_for)] {
         if !reasons.is_empty() {
             say!("the gate {what} the vehicle: {}", in_words(reasons));

@@ -46,6 +46,9 @@ pub struct SingleDrive {
     pub true_poses: bool,
     /// Whether the controller was restarted during the drive: then the measures cover the time since.
     pub joined: bool,
+    /// Where it was in its envelope, if it was held to one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub envelope: Option<InEnvelope>,
     /// Where the parameters changed.
     pub switches: Vec<Switch>,
     /// The name of its recording in the run's folder `drives`.
@@ -56,6 +59,23 @@ pub struct SingleDrive {
     /// The laps of each recorded drive, by its name, where a closed path is driven several times.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub laps: BTreeMap<String, Vec<Lap>>,
+}
+
+/// A drive in its envelope.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct InEnvelope {
+    /// Its score: how far it was from the drives that were calibrated on.
+    pub score: f64,
+    /// Above this score it is out of the envelope.
+    pub threshold: f64,
+    /// What the score comes from: `quality`, `lateral_error`, `along`, `lateral`, `yaw`, `noise` or `heading_noise`.
+    pub worst: String,
+    /// Over how many seconds that was looked at.
+    pub over_s: f64,
+    /// When it was out of the envelope for the first time, in seconds from the start; null if it never was.
+    pub out_at_s: Option<f64>,
+    /// What of it was out by then.
+    pub out_by: Option<String>,
 }
 
 /// A speed beside that of the path.

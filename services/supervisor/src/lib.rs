@@ -8,6 +8,7 @@
 
 mod channel;
 mod deviation;
+pub mod envelope;
 mod gate;
 mod governor;
 mod guard;

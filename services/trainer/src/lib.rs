@@ -8,6 +8,7 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
 mod baselines;
+pub mod calibration;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod checkpoint;
 pub mod compare;

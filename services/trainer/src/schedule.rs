@@ -21,7 +21,7 @@ use crate::grid::GridSweep;
 use crate::own_drives::Driver;
 use crate::result::decided;
 use crate::service::write_outcome;
-use crate::single::{SingleDrive, fastest};
+use crate::single::{SingleDrive, fastest, in_envelope};
 use crate::sweeping::{Place, Progress, Sweeping};
 use crate::validation::Validation;
 use crate::wire::Driven;
@@ -314,6 +314,7 @@ impl Schedule {
                 let switches = self.switches.remove(&0).unwrap_or_default();
                 let mut result = drive.result(&driven, switches);
                 result.fastest = fastest(&self.config, self.sweeping.last_rows());
+                result.envelope = in_envelope(&self.config, self.sweeping.last_rows());
                 result.drives_recorded = recorded;
                 result.drives_lacking = lacking;
                 result.laps = laps;

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use config::{ConfigError, Parameters, RunConfig, SweepPlan};
-use ipc_types::{DriveReport, Odometry, Safety, has};
+use ipc_types::{Command, DriveReport, Odometry, Safety, has};
 use outcome::Switch;
+use supervisor::Movement;
 use tracking::{
-    Covered, DriveRecorder, EndReason, Objective, PathFollower, Reference, TickMeasures,
+    Covered, DriveRecorder, EndReason, Objective, PathFollower, Pose, Reference, TickMeasures,
     TrackingError,
 };
 
@@ -112,6 +113,7 @@ impl SingleDrive {
             max_cross_track_m: record.max_abs_cross_m,
             fastest: None,
             true_poses: has(report.flags, Odometry::HAS_TRUTH),
+            envelope: None,
             joined: has(report.flags, DriveReport::JOINED),
             switches,
             drives_recorded: Vec::new(),
@@ -134,6 +136,37 @@ pub(crate) fn fastest(config: &RunConfig, rows: &[Row]) -> Option<outcome::Faste
     });
     let share = |it: &outcome::Fastest| it.speed_mps / it.path_speed_mps;
     speeds.max_by(|a, b| share(a).total_cmp(&share(b)))
+}
+
+/// Where a recorded drive was in the configuration's envelope, as the supervisor saw it; `None` if there is none.
+pub(crate) fn in_envelope(config: &RunConfig, rows: &[Row]) -> Option<outcome::InEnvelope> {
+    const HELD: u32 = Command::DEGRADED | Command::STOPPING | Command::STOPPED | Command::ENDED;
+    let file = config.envelope.as_deref()?;
+    let mut envelope = supervisor::envelope::Envelope::new(config)?;
+    let reference = Reference::new(config);
+    let path = reference.path();
+    let mut follower = PathFollower::default();
+    for row in rows.iter().take_while(|row| row.flags & HELD == 0) {
+        let pose =
+            Pose { x_m: row.measured_x_m, y_m: row.measured_y_m, yaw_rad: row.measured_yaw_rad };
+        let (speed_mps, yaw_rate_radps) = (row.speed_mps, row.yaw_rate_radps);
+        envelope.see(row.tick, Movement { pose, speed_mps, yaw_rate_radps }, true);
+        let (x_m, y_m) = (row.reference_x_m, row.reference_y_m);
+        follower.distance_m(path, x_m, y_m);
+        envelope.follow(follower.along_m(path, x_m, y_m));
+        envelope.tell(row.command_steering_rad);
+    }
+    let (score, worst) = envelope.score();
+    let channel = &file.channels[worst];
+    let alarm = envelope.alarm();
+    Some(outcome::InEnvelope {
+        score,
+        threshold: file.threshold,
+        worst: channel.kind.clone(),
+        over_s: channel.over_s,
+        out_at_s: alarm.map(|it| it.tick as f64 * config.drive.tick_s),
+        out_by: alarm.map(|it| file.channels[it.index].kind.clone()),
+    })
 }
 
 /// Names of what was wrong.
