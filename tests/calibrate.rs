@@ -8,7 +8,7 @@ use std::process::Output;
 use serde_json::Value;
 use support::Sandbox;
 
-const SHORT: [&str; 2] = ["--set", "drive.loop_time_s=7.0"];
+const SHORT: [&str; 4] = ["--set", "drive.loop_time_s=7.0", "--set", "vehicle.gear_engaged=true"];
 
 fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
@@ -86,7 +86,7 @@ fn drives_are_held_to_an_envelope_that_promises_what_its_drives_support() {
     let by = result["envelope"]["out_by"].as_str().unwrap();
     let reason = format!("envelope_{}", by.trim_start_matches("heading_"));
     assert!(result["stopped_for"].as_array().unwrap().contains(&Value::from(reason)), "{result}");
-    assert!(result["envelope"]["out_at_s"].as_f64().unwrap() < 4.0);
+    assert!(result["envelope"]["out_at_s"].as_f64().unwrap() < 3.0);
 
     let other = ["drive", "roundabout", "--envelope", "many.toml", "--gains", "2.2,21,1,0.98"];
     refused(&sandbox, &[&other, &SHORT[..]].concat(), &["--envelope many.toml", "gains", "kv=3.4"]);

@@ -3,6 +3,7 @@
 use config::RunConfig;
 use ipc_types::{Command, Safety};
 
+use crate::envelope::Envelope;
 use crate::{
     Action, Deviation, Gate, Guard, Ladder, Movement, Passed, Plausibility, RawCommand, Response,
     SpeedGovernor, State, Step,
@@ -15,6 +16,8 @@ pub struct Watch {
     /// `None` where they are not watched.
     deviation: Option<Deviation>,
     response: Option<Response>,
+    /// Boxed, because it is large, and most drives have none.
+    envelope: Option<Box<Envelope>>,
     governor: SpeedGovernor,
     guard: Guard,
     ladder: Ladder,
@@ -37,6 +40,7 @@ impl Watch {
             plausibility: Plausibility::new(config),
             deviation: Deviation::new(config),
             response: Response::new(config),
+            envelope: Envelope::new(config).map(Box::new),
             governor: SpeedGovernor::new(config),
             guard: Guard::new(config),
             ladder: Ladder::new(config),
@@ -68,6 +72,17 @@ impl Watch {
         if let Some(deviation) = &mut self.deviation {
             deviation.lose();
         }
+        if let Some(envelope) = &mut self.envelope {
+            envelope.lose();
+        }
+    }
+
+    /// Tells where the reference is now, along the path.
+    #[inline]
+    pub fn follow(&mut self, along_m: f64) {
+        if let Some(envelope) = &mut self.envelope {
+            envelope.follow(along_m);
+        }
     }
 
     /// Tells where the reference is, along the path: a vehicle that may be elsewhere than it was is looked for there.
@@ -89,6 +104,9 @@ impl Watch {
             if let Some(deviation) = &mut self.deviation {
                 deviation.lose();
             }
+            if let Some(envelope) = &mut self.envelope {
+                envelope.lose();
+            }
         }
         self.odometry_faults = self.plausibility.check(tick, movement);
         if self.odometry_faults & !Safety::ODOMETRY_JUMP == 0 {
@@ -103,6 +121,11 @@ impl Watch {
             if let Some(response) = &mut self.response {
                 response.see(tick, movement, obeys);
             }
+            if self.guard.state() == State::Normal
+                && let Some(envelope) = &mut self.envelope
+            {
+                envelope.see(tick, movement, obeys);
+            }
         }
         self.odometry_faults
     }
@@ -111,6 +134,7 @@ impl Watch {
     fn drive_faults(&self) -> u32 {
         self.deviation.as_ref().map_or(0, Deviation::faults)
             | self.response.as_ref().map_or(0, Response::faults)
+            | self.envelope.as_ref().and_then(|it| it.alarm()).map_or(0, |it| it.channel.reason())
     }
 
     /// The command at a moment `dt_s` after the last one: the raw command, within limits, or one of the
@@ -147,6 +171,11 @@ impl Watch {
         }
         if let Some(response) = &mut self.response {
             response.tell(passed.speed_mps, passed.steering_rad);
+        }
+        if state == State::Normal
+            && let Some(envelope) = &mut self.envelope
+        {
+            envelope.tell(passed.steering_rad);
         }
         passed
     }
@@ -200,6 +229,12 @@ impl Watch {
 
     /// Lets a stopped vehicle drive again; returns whether it may. `faults` are those of the loop.
     pub fn rearm(&mut self, faults: u32) -> bool {
+        // What it has seen of the drive is over once the vehicle stands.
+        if self.guard.state() == State::Stopped
+            && let Some(envelope) = &mut self.envelope
+        {
+            envelope.lose();
+        }
         let is_rearmed = self.guard.rearm(faults | self.odometry_faults | self.drive_faults());
         if is_rearmed && let Some(deviation) = &mut self.deviation {
             deviation.rearm();
