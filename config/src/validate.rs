@@ -451,10 +451,13 @@ pub(crate) fn above(key: &str, value: f64, low: f64, high: f64) -> Result<(), Pr
     Err((key.to_owned(), format!("is {value}, but must lie in ({low}, {high}]")))
 }
 
+/// Nobody states more degrees, or degrees a second.
+const MOST_DEGREES: f64 = 3600.0;
+
 /// An angle, or its rate, above 0; one that is too large may be in degrees.
 fn angle(key: &str, value: f64, high: f64) -> Result<(), Problem> {
     above(key, value, 0.0, high).map_err(|(key, problem)| {
-        let in_degrees = value > high && value.is_finite();
+        let in_degrees = value > high && value <= MOST_DEGREES;
         let hint = format!("; it is in radians: {value}° are {:.3}", value.to_radians());
         (key, if in_degrees { problem + &hint } else { problem })
     })
