@@ -51,9 +51,12 @@ pub struct RunConfig {
     /// On which plants a set is driven in a training.
     #[serde(default)]
     pub over: crate::Over,
-    /// The envelope by which a drive is judged, where there is one.
+    /// The envelope to which a drive is held, where there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub envelope: Option<Box<crate::Envelope>>,
+    /// Whether a drive that leaves its envelope is only told of, and not stopped.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub envelope_only_judges: bool,
     /// The keys that differ from run to run.
     pub run: Run,
     /// The vehicle.

@@ -244,6 +244,9 @@ pub struct ValidateArgs {
     /// Noisy drives of each set, with the noise seeds 1, 2, …
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=10_000))]
     pub repeats: u32,
+    /// Hold the drives of a single set to an envelope that `calibrate` wrote for it, as `drive --envelope` does
+    #[arg(long, value_name = "FILE")]
+    pub envelope: Option<PathBuf>,
     /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,
@@ -276,9 +279,13 @@ pub struct DriveArgs {
     /// Put noise on the odometry of our simulator
     #[arg(long)]
     pub noise: bool,
-    /// Judge the drive by an envelope that `calibrate` wrote for it: its score, and whether it was out of the envelope
+    /// Hold the drive to an envelope that `calibrate` wrote for it: the gate stops the vehicle once it drives otherwise
+    /// than good drives do, and the result has the drive's score
     #[arg(long, value_name = "FILE")]
     pub envelope: Option<PathBuf>,
+    /// Only tell whether the drive was out of its envelope, and do not stop it for that
+    #[arg(long, requires = "envelope")]
+    pub only_judge: bool,
     /// Use one of our adapters instead of the simulator: ros2-vehicle; implies --realtime
     #[arg(long, value_name = "SERVICE", conflicts_with = "replace")]
     pub adapter: Option<String>,

@@ -33,6 +33,7 @@ pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Fa
     let note = describe(&config, &set, &origin);
     if let Some(file) = &args.envelope {
         config.envelope = Some(Box::new(envelope(file, &config, &set)?));
+        config.envelope_only_judges = args.only_judge;
     }
     config.run.fleet = 1;
     let realtime = config.run.realtime;
@@ -42,7 +43,11 @@ pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Fa
 }
 
 /// Reads an envelope, which must be one for this drive.
-fn envelope(file: &Path, config: &RunConfig, sets: &[Parameters]) -> Result<Envelope, Failure> {
+pub(crate) fn envelope(
+    file: &Path,
+    config: &RunConfig,
+    sets: &[Parameters],
+) -> Result<Envelope, Failure> {
     let user = |why: String| Failure::User(format!("--envelope {}: {why}", file.display()));
     let text = read_small(file).map_err(|why| user(why.to_string()))?;
     let envelope = Envelope::parse(&text).map_err(user)?;

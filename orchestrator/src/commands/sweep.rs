@@ -4,6 +4,7 @@ use config::launch::Role;
 use config::{MAX_FLEET, Parameters, RunConfig, SweepKind, SweepPlan};
 
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
+use crate::commands::drive::envelope;
 use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
 use crate::runs::result::conclude;
@@ -28,6 +29,16 @@ pub(crate) fn validate(args: &ValidateArgs, services: Services) -> Result<EndedR
     if rows == 0 {
         let why = no_paper_gains(&config);
         return Err(Failure::User(format!("{why}; give some with --gains {}", list(&config))));
+    }
+    if let Some(file) = &args.envelope {
+        let [set] = &sets[..] else {
+            return Err(Failure::User(format!(
+                "--envelope {}: an envelope is for one set; give that one with --gains {}",
+                file.display(),
+                list(&config)
+            )));
+        };
+        config.envelope = Some(Box::new(envelope(file, &config, set)?));
     }
     fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
     let plan = plan(&config, SweepKind::Validate, args.repeats, &sets);

@@ -247,9 +247,11 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         let worst = it.worst.replace('_', " ");
         match (it.out_at_s, &it.out_by) {
             (Some(at_s), Some(by)) => say!(
-                "out of its envelope after {} s, by {}: score {score}, where {threshold} is the limit",
+                "out of its envelope after {} s, by {} over {} s: score {score}, where {threshold} is the limit{}",
                 digits(at_s, 1),
-                by.replace('_', " ")
+                by.replace('_', " "),
+                it.out_over_s.unwrap_or_default(),
+                if it.action.is_none() { "; it was not stopped for that" } else { "" }
             ),
             _ => say!(
                 "within its envelope: score {score} by {worst} over {} s, where {threshold} is the limit",

@@ -78,8 +78,17 @@ pub struct InEnvelope {
     pub over_s: f64,
     /// When it was out of the envelope for the first time, in seconds from the start; null if it never was.
     pub out_at_s: Option<f64>,
-    /// What of it was out by then.
+    /// The tick of the odometry with which it was out.
+    #[serde(default)]
+    pub out_at_tick: Option<u64>,
+    /// What of it was out by then: as `worst`.
     pub out_by: Option<String>,
+    /// Over how many seconds that was looked at.
+    #[serde(default)]
+    pub out_over_s: Option<f64>,
+    /// What the gate did about it: `rest`, `brake` or `brake_straight`, as `stopped_how`; null if the drive was only judged.
+    #[serde(default)]
+    pub action: Option<String>,
 }
 
 /// A speed beside that of the path.

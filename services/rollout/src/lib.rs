@@ -153,6 +153,7 @@ impl<P: Plant> Rollout<P> {
             let raw = decision.command;
             let Observation { measured: pose, speed_mps, yaw_rate_radps, .. } = observation;
             watch.see(tick, Movement { pose, speed_mps, yaw_rate_radps }, true);
+            watch.follow(decision.reference_along_m);
             let raw = RawCommand {
                 speed_mps: raw.speed_mps,
                 yaw_rate_radps: raw.yaw_rate_radps,

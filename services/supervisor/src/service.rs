@@ -246,6 +246,7 @@ impl Slot {
         if !has(raw.flags, RawCommand::FROZEN) {
             self.watch.look_near(raw.reference_along_m);
         }
+        self.watch.follow(raw.reference_along_m);
         let RawCommand { speed_mps: asked_mps, reference_along_m: along_m, origin_m, .. } = *raw;
         self.pace.update(tick, self.measured, Progress { asked_mps, along_m, origin_m });
         let zone = self.tracker.update(self.measured, along_m);

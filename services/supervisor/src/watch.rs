@@ -3,6 +3,7 @@
 use config::RunConfig;
 use ipc_types::{Command, Safety};
 
+use crate::envelope::{Alarm, Envelope};
 use crate::{
     Action, Deviation, Gate, Guard, Ladder, Movement, Passed, Plausibility, RawCommand, Response,
     SpeedGovernor, State, Step,
@@ -15,6 +16,8 @@ pub struct Watch {
     /// `None` where they are not watched.
     deviation: Option<Deviation>,
     response: Option<Response>,
+    /// Boxed, because it is large, and most drives have none.
+    envelope: Option<Box<Envelope>>,
     governor: SpeedGovernor,
     guard: Guard,
     ladder: Ladder,
@@ -37,6 +40,7 @@ impl Watch {
             plausibility: Plausibility::new(config),
             deviation: Deviation::new(config),
             response: Response::new(config),
+            envelope: Envelope::at_work(config).map(Box::new),
             governor: SpeedGovernor::new(config),
             guard: Guard::new(config),
             ladder: Ladder::new(config),
@@ -67,6 +71,17 @@ impl Watch {
         }
         if let Some(deviation) = &mut self.deviation {
             deviation.lose();
+        }
+        if let Some(envelope) = &mut self.envelope {
+            envelope.lose();
+        }
+    }
+
+    /// Tells where the reference of a tick is, along the path.
+    #[inline]
+    pub fn follow(&mut self, along_m: f64) {
+        if let Some(envelope) = &mut self.envelope {
+            envelope.follow(along_m);
         }
     }
 
@@ -103,6 +118,12 @@ impl Watch {
             if let Some(response) = &mut self.response {
                 response.see(tick, movement, obeys);
             }
+            // How a vehicle is stopped is not how good drives drive.
+            if let Some(envelope) = &mut self.envelope
+                && !self.guard.state().is_latched()
+            {
+                envelope.see(tick, movement, obeys);
+            }
         }
         self.odometry_faults
     }
@@ -111,6 +132,7 @@ impl Watch {
     fn drive_faults(&self) -> u32 {
         self.deviation.as_ref().map_or(0, Deviation::faults)
             | self.response.as_ref().map_or(0, Response::faults)
+            | self.alarm().map_or(0, |it| it.channel.reason())
     }
 
     /// The command at a moment `dt_s` after the last one: the raw command, within limits, or one of the
@@ -148,6 +170,11 @@ impl Watch {
         if let Some(response) = &mut self.response {
             response.tell(passed.speed_mps, passed.steering_rad);
         }
+        if let Some(envelope) = &mut self.envelope
+            && !state.is_latched()
+        {
+            envelope.tell(passed.steering_rad);
+        }
         passed
     }
 
@@ -174,6 +201,11 @@ impl Watch {
     pub fn resume_stop(&mut self, action: Action) {
         self.guard.stop(Safety::RESTARTED);
         self.ladder.resume(action);
+    }
+
+    /// The drive is out of its envelope: since when, and by what.
+    pub fn alarm(&self) -> Option<Alarm> {
+        self.envelope.as_ref().and_then(|it| it.alarm())
     }
 
     /// What is being done about an alarm.
@@ -203,6 +235,12 @@ impl Watch {
 
     /// Lets a stopped vehicle drive again; returns whether it may. `faults` are those of the loop.
     pub fn rearm(&mut self, faults: u32) -> bool {
+        // What was seen of the drive is over once the vehicle stands: it will begin elsewhere than good drives do.
+        if self.guard.state() == State::Stopped
+            && let Some(envelope) = &mut self.envelope
+        {
+            envelope.lose();
+        }
         let is_rearmed = self.guard.rearm(faults | self.odometry_faults | self.drive_faults());
         if is_rearmed && let Some(deviation) = &mut self.deviation {
             deviation.rearm();

@@ -313,7 +313,8 @@ impl Schedule {
                 let switches = self.switches.remove(&0).unwrap_or_default();
                 let mut result = drive.result(&driven, switches);
                 result.fastest = fastest(&self.config, self.sweeping.last_rows());
-                result.envelope = in_envelope(&self.config, self.sweeping.last_rows());
+                result.envelope =
+                    in_envelope(&self.config, self.sweeping.last_rows(), driven.record.stopped_for);
                 result.drives_recorded = recorded;
                 result.drives_lacking = lacking;
                 result.laps = laps;

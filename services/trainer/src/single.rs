@@ -142,14 +142,24 @@ pub(crate) fn fastest(config: &RunConfig, rows: &[Row]) -> Option<outcome::Faste
 }
 
 /// Where a recorded drive was in the configuration's envelope, as the supervisor saw it; `None` if there is none.
-pub(crate) fn in_envelope(config: &RunConfig, rows: &[Row]) -> Option<outcome::InEnvelope> {
-    const HELD: u32 = Command::DEGRADED | Command::STOPPING | Command::STOPPED | Command::ENDED;
+/// `stopped_for` is what the gate stopped it for.
+pub(crate) fn in_envelope(
+    config: &RunConfig,
+    rows: &[Row],
+    stopped_for: u32,
+) -> Option<outcome::InEnvelope> {
+    const STOPPED: u32 = Command::STOPPING | Command::STOPPED;
     let file = config.envelope.as_deref()?;
     let mut envelope = supervisor::envelope::Envelope::new(config)?;
     let reference = Reference::new(config);
     let path = reference.path();
     let mut follower = PathFollower::default();
-    for row in rows.iter().take_while(|row| row.flags & HELD == 0) {
+    let mut alarm = None;
+    for row in rows.iter().take_while(|row| row.flags & Command::ENDED == 0) {
+        if row.flags & STOPPED != 0 {
+            envelope.lose();
+            continue;
+        }
         let pose =
             Pose { x_m: row.measured_x_m, y_m: row.measured_y_m, yaw_rad: row.measured_yaw_rad };
         let (speed_mps, yaw_rate_radps) = (row.speed_mps, row.yaw_rate_radps);
@@ -158,17 +168,22 @@ pub(crate) fn in_envelope(config: &RunConfig, rows: &[Row]) -> Option<outcome::I
         follower.distance_m(path, x_m, y_m);
         envelope.follow(follower.along_m(path, x_m, y_m));
         envelope.tell(row.command_steering_rad);
+        alarm = alarm.or(envelope.alarm());
     }
     let (score, worst) = envelope.score();
     let channel = &file.channels[worst];
-    let alarm = envelope.alarm();
+    let by = alarm.map(|it| &file.channels[it.index]);
+    let acted = alarm.filter(|it| has(stopped_for, it.channel.reason()));
     Some(outcome::InEnvelope {
         score,
         threshold: file.threshold,
         worst: channel.kind.clone(),
         over_s: channel.over_s,
         out_at_s: alarm.map(|it| it.tick as f64 * config.drive.tick_s),
-        out_by: alarm.map(|it| file.channels[it.index].kind.clone()),
+        out_at_tick: alarm.map(|it| it.tick),
+        out_by: by.map(|it| it.kind.clone()),
+        out_over_s: by.map(|it| it.over_s),
+        action: acted.map(|it| Safety::action_name(it.channel.reason()).to_owned()),
     })
 }
 

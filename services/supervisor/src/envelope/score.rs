@@ -96,6 +96,11 @@ impl Envelope {
         })
     }
 
+    /// The same for the supervisor, which stops what is out of its envelope; `None` if drives are only judged by it.
+    pub fn at_work(config: &RunConfig) -> Option<Self> {
+        if config.envelope_only_judges { None } else { Self::new(config) }
+    }
+
     /// Nothing is known of how the vehicle came here. An alarm is forgotten; the score stays.
     pub fn lose(&mut self) {
         self.evidence.lose();
