@@ -209,7 +209,7 @@ fn by_the_clock_a_restarted_supervisor_watches_on() {
     calibrated(&sandbox, &["--drives", "40", "--out", "wide.toml"]);
     with_threshold(&sandbox, "wide.toml", "narrow.toml", 0.05);
     let named = ["drive", "roundabout", "--noise", "--realtime", "--envelope", "narrow.toml"];
-    let chaos = ["--chaos", "kill supervisor@tick=80", "--out", "out"];
+    let chaos = ["--chaos", "kill supervisor@drive=1,tick=80", "--out", "out"];
     let output = sandbox.run(&[&named, &SHORT[..], &chaos].concat());
     assert_eq!(output.status.code(), Some(2), "{}", sandbox.story("out", &output));
     let result = sandbox.result("out");

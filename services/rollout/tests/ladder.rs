@@ -25,6 +25,7 @@ const BEYOND_M: f64 = 1.0;
 /// What an alarm that knows gives as its reason.
 fn reason(fault: Fault) -> u32 {
     match fault {
+        Healthy => 0,
         Understeer | SteeringGain | SteeringRate | StuckStraight | StuckAsItIs | SteeringOffset => {
             Safety::OUT_BY_YAW
         }

@@ -3,7 +3,8 @@
 //!
 //! `PATHTUNE_DRIVES` is the number of drives with each fault, `PATHTUNE_ENVELOPE_DRIVES` that of the drives that are
 //! calibrated on: few of both by default. `PATHTUNE_SPEEDS`, `PATHTUNE_VEHICLE` and `PATHTUNE_SETS` change the car and
-//! how it drives, each value behind a space.
+//! how it drives, each value behind a space; `PATHTUNE_GAINS=3,21,21,0.7` is one set for the whole circuit, and with
+//! `PATHTUNE_SPREAD=nothing` the faulty vehicles are all of the file, while calibrated ones differ as ever.
 
 // A test reads what it is to drive.
 #![allow(clippy::disallowed_methods)]
@@ -15,7 +16,7 @@ use std::collections::BTreeMap;
 use config::{Parameters, RunConfig};
 use ipc_types::Safety;
 use rollout::Rollout;
-use trainer::calibration::Spread::Varied;
+use trainer::calibration::Spread::{self, Varied};
 use trainer::calibration::{calibrate, varied};
 use troubled::{Fault, OTHERS, STEERING, Troubled, circuit};
 
@@ -25,6 +26,22 @@ const FRESH: u64 = 1 << 40;
 
 fn number(name: &str, default: u32) -> u32 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap())
+}
+
+/// In what the faulty vehicles differ from the file, beside their fault.
+fn spread() -> Spread {
+    match std::env::var("PATHTUNE_SPREAD").as_deref() {
+        Ok("nothing") => Spread::Nothing,
+        _ => Spread::Varied,
+    }
+}
+
+/// The sets to drive with: those of each manoeuvre that is due.
+fn sets_of(config: &RunConfig) -> Vec<Parameters> {
+    if let Ok(text) = std::env::var("PATHTUNE_GAINS") {
+        return config.law.parse_sets(&text).unwrap();
+    }
+    config.paper_rows().into_iter().find(|row| row.chosen).unwrap().sets
 }
 
 /// What became of a drive.
@@ -39,7 +56,7 @@ struct Driven {
 fn drive(config: &RunConfig, sets: &[Parameters], fault: Fault, drives: u32) -> Vec<Driven> {
     let one = |index: u32| {
         let from_m = 2.0 + 168.0 * (f64::from(index) + 0.5) / f64::from(drives);
-        let (plant, seed) = varied(config, FRESH, index, Varied);
+        let (plant, seed) = varied(config, FRESH, index, spread());
         let car = Troubled::new(&plant, fault, from_m, (0, 0.0));
         let (mut driven_m, mut since_s) = (0.0, 0.0);
         let mut driven = Driven { farthest_m: 0.0, stopped: None };
@@ -75,9 +92,10 @@ fn the_envelopes_alarm_keeps_faulty_vehicles_near_their_path() {
         (number("PATHTUNE_DRIVES", 2), number("PATHTUNE_ENVELOPE_DRIVES", 40));
     let speeds = std::env::var("PATHTUNE_SPEEDS").unwrap_or_else(|_| "1.45 3 4".to_owned());
     for speed_mps in speeds.split_whitespace().map(|it| it.parse().unwrap()) {
-        let (mut config, sets) = circuit(speed_mps);
-        let row = config.paper_rows().into_iter().find(|row| row.chosen).unwrap();
-        let envelope = calibrate(&config, &row.sets, calibrated, Varied, |_| {}).unwrap();
+        let (mut config, _) = circuit(speed_mps);
+        let sets = sets_of(&config);
+        let envelope = calibrate(&config, &sets, calibrated, Varied, |_| {}).unwrap();
+        let sets = if sets.len() == 1 { sets } else { config.sets_by_zone(&sets) };
         println!(
             "{speed_mps} m/s: threshold {:.3} of {} drives, {} left out, alpha {:.4}",
             envelope.threshold,
@@ -86,6 +104,10 @@ fn the_envelopes_alarm_keeps_faulty_vehicles_near_their_path() {
             envelope.promise.alpha
         );
         let unwatched = config.clone();
+        println!(
+            "{speed_mps} m/s, without a fault: beyond 1 m {} of {count}",
+            beyond(&drive(&unwatched, &sets, Fault::Healthy, count))
+        );
         config.envelope = Some(Box::new(envelope));
         let (mut all, mut of_nothing, mut early) = (0, 0, 0);
         for (what, faults) in [("steering", &STEERING[..]), ("others", &OTHERS[..])] {

@@ -8,6 +8,8 @@ use tracking::Pose;
 /// What is wrong with the vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Fault {
+    #[allow(dead_code, reason = "one of the tests has no use for it")]
+    Healthy,
     Understeer,
     SteeringGain,
     SteeringRate,
