@@ -1,6 +1,7 @@
 //! Tools that are used alongside a pipeline: monitor, recorder, replay, report, certificate, identification.
 
 use crate::identify;
+use config::{Parameters, RunConfig};
 use monitor::MonitorError;
 use orchestrator::cli::{CompareArgs, MonitorArgs, RecordArgs, ReplayArgs};
 use orchestrator::runs::{LivingRun, living_run};
@@ -16,12 +17,26 @@ pub(crate) const TOOLS: Tools = Tools {
     record,
     replay,
     margin: trainer::margin,
+    ground,
     certify: crate::certify::certify,
     calibrate: crate::calibrate::calibrate,
     journal: crate::calibrate::journal::note,
     identify: identify::identify,
     path_of_bag: crate::path_bag::read,
 };
+
+/// The ground that a simulated drive takes.
+fn ground(config: &RunConfig, by_zone: &[Parameters]) -> [f64; 4] {
+    let footprint = supervisor::Footprint::new(&config.vehicle);
+    let mut area = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    rollout::Rollout::new(config).drive_scheduled(by_zone, None, |_, tick| {
+        let seen = tick.observation;
+        for [x, y] in footprint.corners_m(seen.truth, seen.speed_mps) {
+            area = [area[0].min(x), area[1].max(x), area[2].min(y), area[3].max(y)];
+        }
+    });
+    area
+}
 
 /// Compares tuners.
 fn compare(args: &CompareArgs) -> Result<(), Failure> {

@@ -147,6 +147,27 @@ fn values_are_found_written_and_brought_back() {
 }
 
 #[test]
+fn what_was_measured_is_drawn_beside_what_is_predicted() {
+    let sandbox = sandbox();
+    write_drive(&sandbox, "drive.csv", |rate, _, _| rate);
+    let args = ["identify", "drive.csv", "--vehicle", "car.toml", "--report", "pages/mine"];
+    let output = sandbox.run(&args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let page = sandbox.text("pages/mine/index.html");
+    for part in ["wheelbase_m", "drive.csv", "predicted over 3 s", "Figure 5."] {
+        assert!(page.contains(part), "{part}");
+    }
+    for name in ["way", "speed-predicted", "speed-residuals", "yaw-rate-predicted", "yaw-rate-residuals"] {
+        assert!(sandbox.text(&format!("pages/mine/{name}.svg")).contains("with the new ones"), "{name}");
+    }
+    // Drawn again; but never into a folder of something else.
+    assert!(sandbox.run(&args).status.success());
+    fs::write(sandbox.path("pages/mine/thesis.tex"), "").unwrap();
+    refused(&sandbox, &["drive.csv", "--report", "pages/mine"], &["--report pages/mine", "thesis.tex"]);
+    sandbox.assert_clean();
+}
+
+#[test]
 fn odometry_that_repeats_the_command_and_files_that_are_no_drive_are_refused() {
     let sandbox = sandbox();
     write_drive(&sandbox, "computed.csv", |_, speed, command| speed * command.tan() / 0.25);
@@ -180,6 +201,24 @@ fn the_excitation_is_driven_and_names_the_command_that_identifies() {
     near(found.steering_lag_s, truth.steering_lag_s, 0.05);
     near(found.steering_rate_radps, truth.steering_rate_radps, 0.02);
     near(found.speed_delay_s, truth.speed_delay_s, 0.1);
+    // The ground that the drive takes is told, and what is too small is refused.
+    let told = |args: &[&str]| {
+        let output = sandbox.run(&[&["excite", "--vehicle", "true.toml"], args].concat());
+        (output.status.code(), stderr(&output))
+    };
+    let (code, why) = told(&["--compact", "--box", "20x90"]);
+    assert_eq!((code, why.contains("the drive takes ")), (Some(64), true), "{why}");
+    let (code, why) = told(&["--box", "20"]);
+    assert_eq!((code, why.contains("as in 30x30")), (Some(64), true), "{why}");
+    let (code, why) = told(&["--box", "200x60", "--out", "boxed"]);
+    assert_eq!((code, why.contains("heading along its 200 m")), (Some(0), true), "{why}");
+    assert!(!sandbox.text("boxed/config.toml").contains("area_m = [-inf"));
+    // Wheels that turn less get smaller steps.
+    fs::write(sandbox.path("small.toml"), "base = \"f1tenth\"\nname = \"small\"\n").unwrap();
+    let args = ["excite", "--vehicle", "small.toml", "--compact", "--out", "small"];
+    let output = sandbox.run(&args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("the wheels turn by 0.419 rad at most: steps of 0.18"));
     // A wheel turns no further than it can.
     let output = sandbox.run(&["excite", "--vehicle", "true.toml", "--steering", "0.6"]);
     assert_eq!(output.status.code(), Some(64));

@@ -71,14 +71,19 @@ fn drive(sandbox: &Sandbox, text: &str, args: &[&str]) -> Driven {
     let all = [&["drive", "-q", "--path", "p.csv", "--out", "out"], &GAINS[..], args].concat();
     let output = sandbox.run(&all);
     assert!(output.status.success(), "{args:?}: {}", sandbox.story("out", &output));
+    let rows = rows_of(sandbox);
+    fs::remove_dir_all(sandbox.path("out")).unwrap();
+    Driven { rows, told: String::from_utf8_lossy(&output.stderr).into_owned() }
+}
+
+/// The rows of the drive in `out`.
+fn rows_of(sandbox: &Sandbox) -> Vec<BTreeMap<String, f64>> {
     let mut reader = csv::Reader::from_path(sandbox.path("out/drives/drive.csv")).unwrap();
     let rows = reader.deserialize().map(|row| {
         let row: BTreeMap<String, String> = row.unwrap();
         row.into_iter().filter_map(|(key, value)| Some((key, value.parse().ok()?))).collect()
     });
-    let rows = rows.collect();
-    fs::remove_dir_all(sandbox.path("out")).unwrap();
-    Driven { rows, told: String::from_utf8_lossy(&output.stderr).into_owned() }
+    rows.collect()
 }
 
 /// What is said of a file that is refused.
@@ -284,6 +289,54 @@ fn the_road_s_edges_are_kept() {
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     has(&told, &["edges are 1.50 to 2.50 m away"]);
     has(&sandbox.text("out/config.toml"), &["widths_m = [[1.5, 2.5]"]);
+    sandbox.assert_clean();
+}
+
+/// A road of 10 cm and less is narrower than the car drives exactly.
+#[test]
+fn the_body_may_not_pass_the_road_s_edges() {
+    let sandbox = Sandbox::new();
+    let line = bend(26.0, 8.0, 0.5);
+    let text = table("# x_m,y_m,w_tr_right_m,w_tr_left_m", &line, |_, [x, y]| {
+        format!("{x:.6},{y:.6},0.05,0.05")
+    });
+    fs::write(sandbox.path("p.csv"), text).unwrap();
+    let output =
+        sandbox.run(&[&["drive", "-q", "--path", "p.csv", "--out", "out"], &GAINS[..]].concat());
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    has(&String::from_utf8_lossy(&output.stdout), &["stopped the vehicle", "an edge of the road"]);
+    has(&sandbox.text("out/result.json"), &["\"road_edge\""]);
+    sandbox.assert_clean();
+}
+
+/// The car is braked so early that no part of it leaves the area.
+#[test]
+fn the_vehicle_stays_in_its_area() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("p.csv"), "x_m,y_m,v_mps\n0,0,4\n100,0,4\n").unwrap();
+    let drive = |area: &str, out: &str| {
+        let area = format!("drive.area_m={area}");
+        let args = ["drive", "-q", "--path", "p.csv", "--out", out, "--set", &area];
+        sandbox.run(&[&args[..], &GAINS[..]].concat())
+    };
+    let output = drive("[-5.0, 40.0, -5.0, 5.0]", "out");
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    has(&String::from_utf8_lossy(&output.stdout), &["it would leave the area"]);
+    let config = config::Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+    let ahead_m = config.vehicle.body_front_m - config.vehicle.tracked_point_m;
+    let farthest_m = rows_of(&sandbox)
+        .iter()
+        .fold(0.0, |most: f64, row| most.max(row["x_m"] + ahead_m));
+    assert!((35.0..40.0).contains(&farthest_m), "{farthest_m}");
+    for (area, why) in [
+        ("[5.0, 40.0, -5.0, 5.0]", "does not hold the start"),
+        ("[-5.0, -6.0, -5.0, 5.0]", "the least below the largest"),
+        ("[-5.0, nan, -5.0, 5.0]", "the least below the largest"),
+    ] {
+        let output = drive(area, "no");
+        assert_eq!(output.status.code(), Some(64), "{output:?}");
+        has(&String::from_utf8_lossy(&output.stderr), &["drive.area_m", why]);
+    }
     sandbox.assert_clean();
 }
 

@@ -121,7 +121,10 @@ fn stand_at_the_end(origin: &str, file: &mut PathFile) -> Result<(), ConfigError
     }
     let inner = if count > 2 { zeros(1, count - 1) } else { 0 };
     if inner > 0 {
-        words.push(format!("at {inner} points between, which are passed at {SLOWEST_MPS} m/s"));
+        let points = if inner == 1 { "a point".to_owned() } else { format!("{inner} points") };
+        words.push(format!(
+            "at {points} between, passed at {SLOWEST_MPS} m/s, as a drive has no stops"
+        ));
     }
     if !words.is_empty() {
         file.notes.push(format!("the speed is 0 {}", words.join(", and ")));

@@ -458,6 +458,8 @@ pub struct Drive {
     pub start_speed_mps: f64,
     pub tick_s: f64,
     pub goal_radius_m: f64,
+    #[serde(default = "anywhere")]
+    pub area_m: [f64; 4],
 }
 
 /// Settings that every control law shares.
@@ -777,6 +779,11 @@ impl<'de> Deserialize<'de> for Limit {
         }
         deserializer.deserialize_any(Reader)
     }
+}
+
+/// An area without bounds.
+fn anywhere() -> [f64; 4] {
+    [f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY]
 }
 
 /// Limits for commands to the vehicle, and for the plausibility of its odometry. `inf` switches a limit off.

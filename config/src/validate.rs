@@ -37,6 +37,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
         return Err(("drive.loop_time_s".to_owned(), problem));
     }
     within("drive.goal_radius_m", c.drive.goal_radius_m, 0.0, 100.0)?;
+    area(c)?;
     let fastest_mps = c.vehicle.speed_limit_mps.min(c.supervisor.speed_limit_mps).min(50.0);
     within("drive.start_speed_mps", c.drive.start_speed_mps, 0.0, fastest_mps)?;
     angle("controller.steering_limit_rad", c.controller.steering_limit_rad, 1.5)?;
@@ -64,6 +65,25 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     learning(c)?;
     run(c)?;
     crate::plants::validate(c)
+}
+
+/// The area in which the vehicle may drive.
+fn area(config: &RunConfig) -> Result<(), Problem> {
+    let [least_x, most_x, least_y, most_y] = config.drive.area_m;
+    let key = || "drive.area_m".to_owned();
+    if !(least_x < most_x && least_y < most_y) {
+        let problem =
+            "must hold least x, largest x, least y and largest y, the least below the largest";
+        return Err((key(), problem.to_owned()));
+    }
+    let [x_m, y_m] = match config.path.points.first() {
+        Some(point) => *point,
+        None => [config.path.start.x_m, config.path.start.y_m],
+    };
+    if !(least_x..=most_x).contains(&x_m) || !(least_y..=most_y).contains(&y_m) {
+        return Err((key(), format!("does not hold the start of the path, ({x_m}, {y_m})")));
+    }
+    Ok(())
 }
 
 /// Bounds between which the reference waits.

@@ -308,6 +308,13 @@ constants!(
     pub const OUT_BY_YAW: u32 = 1 << 21;
     /// Bit of `reasons`: out of the envelope by how much the measured pose jumps from tick to tick.
     pub const OUT_BY_NOISE: u32 = 1 << 22;
+    /// Bit of `reasons`: the vehicle's body is beyond an edge of the road, as the path's file tells it.
+    pub const ROAD_EDGE: u32 = 1 << 23;
+    /// Bit of `reasons`: the vehicle would leave the area in which it may drive, `drive.area_m`, if it braked now.
+    pub const AREA: u32 = 1 << 24;
+    /// Bit of `reasons`: the yaw rate is that of the commanded steering angle, without any lag: it is not measured, and a
+    /// fault of the steering would not be seen. It is only told: `state` stays as it is.
+    pub const STEERING_UNSEEN: u32 = 1 << 25;
 
     /// Bit of `reasons`: the vehicle was not rearmed, because no leg of the path within its reach fits its heading.
     pub const NO_LEG: u32 = 1 << 16;
@@ -318,8 +325,13 @@ constants!(
         | Self::STEERING_REVERSED
         | Self::STEERING_IGNORED
         | Self::SPEED_IGNORED
+        | Self::ROAD_EDGE
+        | Self::AREA
         | Self::OUT_OF_ENVELOPE;
 
+    /// The bits of `reasons` that are only told: a vehicle that stands is safe, and one whose steering cannot be watched may
+    /// steer well.
+    pub const TOLD: u32 = Self::STANDS | Self::STEERING_UNSEEN;
     /// The bits of `reasons` for a vehicle that is out of the envelope of calibrated drives. Any of them stops it at once.
     pub const OUT_OF_ENVELOPE: u32 = Self::OUT_BY_QUALITY
         | Self::OUT_BY_LATERAL_ERROR
@@ -342,6 +354,8 @@ constants!(
         | Self::PATH_HEADING
         | Self::STEERING_IGNORED
         | Self::SPEED_IGNORED
+        | Self::ROAD_EDGE
+        | Self::AREA
         | Self::OUT_BY_QUALITY
         | Self::OUT_BY_LATERAL_ERROR
         | Self::OUT_BY_YAW;
@@ -791,6 +805,17 @@ impl Safety {
             Self::OUT_BY_NOISE,
             "envelope_noise",
             "its measured pose jumps more than in the calibrated drives",
+        ),
+        (
+            Self::ROAD_EDGE,
+            "road_edge",
+            "it passes an edge of the road, as the path's file tells it",
+        ),
+        (Self::AREA, "area", "it would leave the area in which it may drive (drive.area_m)"),
+        (
+            Self::STEERING_UNSEEN,
+            "steering_unseen",
+            "its yaw rate is computed from the commanded steering angle: a fault of the steering would not be seen",
         ),
         (Self::NO_LEG, "no_leg", "no leg of the path within its reach fits its heading"),
     ];

@@ -76,7 +76,46 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
         drives: args.drives.clone(),
         refusal,
     };
+    if let Some(folder) = &args.report {
+        draw(folder, &vehicle.name, &report, &found)?;
+    }
     commands::conclude(&report, &args.vehicle, args.json, args.write)
+}
+
+/// Draws what was measured beside what is predicted.
+fn draw(
+    folder: &Path,
+    vehicle: &str,
+    it: &commands::Identified,
+    found: &Identification,
+) -> Result<(), Failure> {
+    let is_ours = |name: &std::ffi::OsStr| {
+        let name = Path::new(name);
+        name == "index.html" || name.extension().is_some_and(|it| it == "svg" || it == "part")
+    };
+    // Pictures of an older page are removed: a folder with anything else in it is not one of ours.
+    let others = std::fs::read_dir(folder)
+        .map(|all| all.flatten().map(|entry| entry.file_name()).find(|name| !is_ours(name)));
+    if let Ok(Some(other)) = others {
+        return Err(Failure::User(format!(
+            "--report {}: holds {} already; name a new folder",
+            folder.display(),
+            other.to_string_lossy()
+        )));
+    }
+    let drives: Vec<String> = it.drives.iter().map(|it| it.display().to_string()).collect();
+    let car = report::IdentifiedCar {
+        vehicle,
+        drives: &drives,
+        rows: &it.rows,
+        notes: &it.notes,
+        warnings: &it.warnings,
+        compared: &found.compared,
+    };
+    let page = report::write_identified(folder, car)
+        .map_err(|why| Failure::User(format!("--report {why}")))?;
+    eprintln!("pathtune: wrote {}", page.display());
+    Ok(())
 }
 
 /// The values for the vehicle's file: those that changed.

@@ -50,6 +50,9 @@ pub struct Tools {
     pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
     /// How much later the steering may act with these parameters, in this configuration, at this speed (m/s).
     pub margin: fn(&RunConfig, &Parameters, f64) -> Margin,
+    /// The ground that a drive of our simulator takes with these parameters, the car's body and the way to a stop included:
+    /// least and largest x, least and largest y (m), in the frame of the path.
+    pub ground: fn(&RunConfig, &[Parameters]) -> [f64; 4],
     /// Says what is certain of gains; returns whether what it was to verify holds.
     pub certify: fn(&CertifyArgs) -> Result<bool, Failure>,
     /// Calibrates an envelope.
@@ -137,7 +140,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Config(command) => commands::show_config(&command),
         Command::Conformance(args) => return conformance(&args),
         Command::Schema(args) => commands::print_schema(&args),
-        Command::Excite(args) => commands::excite(&args, services).and_then(draw),
+        Command::Excite(args) => commands::excite(&args, services, tools.ground).and_then(draw),
         Command::Identify(args) => (tools.identify)(&args),
         Command::Gains(command) => commands::gains(&command, tools.margin),
         Command::Service { name, words } => services.run(&name, &words),

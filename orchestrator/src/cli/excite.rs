@@ -7,14 +7,15 @@ use clap::Args;
 /// Options of `excite`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "It stands for 1 s and drives 45 s, some 90 m by 30 m at 2 m/s, or 30 m by 30 m with --compact: 3 s straight on, steering
+    after_help = "It stands for 1 s and drives 45 s, some 90 m by 30 m at 2 m/s, or 30 m by 30 m with --compact (what your car needs is told
+first): 3 s straight on, steering
 steps, a sine that gets quicker, and speeds of up to twice that of the steps. It follows no path, so the gate does not
-watch the path; nor does it watch how the car responds, because that is what the drive is to find. Everything else in
+watch the path; --box keeps the car on its ground. Nor does it watch how the car responds, because that is what the drive is to find. Everything else in
 the gate is on: have the room, and a hand on the car's own stop.
 
 Examples:
   pathtune excite --vehicle car.toml
-  pathtune excite --vehicle car.toml --adapter ros2-vehicle --compact
+  pathtune excite --vehicle car.toml --adapter ros2-vehicle --compact --box 30x30
   pathtune excite --vehicle car.toml --realtime --replace vehicle='python3 my_car.py' --speed 1"
 )]
 pub struct ExciteArgs {
@@ -31,6 +32,10 @@ pub struct ExciteArgs {
     /// Drive in circles, around an angle of 0.25 rad
     #[arg(long)]
     pub compact: bool,
+    /// The ground that there is, in metres: along the car's heading at the start, and across it. Refused if the drive needs
+    /// more; the place to start from is told, and the car is stopped before its body leaves the ground
+    #[arg(long = "box", value_name = "LENGTHxWIDTH", value_parser = parse_box)]
+    pub ground: Option<[f64; 2]>,
     /// Drive by the clock
     #[arg(long)]
     pub realtime: bool,
@@ -49,4 +54,12 @@ pub struct ExciteArgs {
     /// Set one key, overriding everything else; repeatable
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+}
+
+fn parse_box(text: &str) -> Result<[f64; 2], String> {
+    let sides = text.split_once(['x', '×']).and_then(|(length, width)| {
+        let side = |text: &str| text.trim().parse().ok().filter(|it: &f64| *it > 0.0 && *it < 1e6);
+        Some([side(length)?, side(width)?])
+    });
+    sides.ok_or_else(|| "give length and width in metres, as in 30x30".to_owned())
 }

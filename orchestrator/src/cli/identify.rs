@@ -14,7 +14,7 @@ use clap::{Args, ValueEnum};
 
 Examples:
   pathtune identify runs/mine/recording.mcap --vehicle car.toml
-  pathtune identify monday.csv tuesday.csv --vehicle car.toml --write
+  pathtune identify monday.csv tuesday.csv --vehicle car.toml --write --report monday
   pathtune identify bag.mcap --vehicle car.toml --odometry /vesc/odom --command /drive
   pathtune identify --rollback --vehicle car.toml")]
 pub struct IdentifyArgs {
@@ -30,6 +30,9 @@ pub struct IdentifyArgs {
     /// Take the last --write back
     #[arg(long, conflicts_with_all = ["drives", "write", "json"])]
     pub rollback: bool,
+    /// Write a page with pictures into this folder: what was measured beside what is predicted
+    #[arg(long, value_name = "DIR", conflicts_with = "rollback")]
+    pub report: Option<PathBuf>,
     /// Print everything as JSON
     #[arg(long)]
     pub json: bool,

@@ -4,13 +4,15 @@ use std::ffi::OsString;
 use std::path::Path;
 
 use clap::Parser;
+use config::{Parameters, RunConfig};
 
 use crate::cli::{Cli, Command, ExciteArgs};
+use crate::commands::sweep::parse_sets;
 use crate::commands::{drive, vehicle_of};
 use crate::pipeline::services::Services;
-use crate::runs::EndedRun;
+use crate::runs::{EndedRun, setup};
 use crate::words::Failure;
-use crate::words::terminal::say;
+use crate::words::terminal::{say, tell};
 
 /// The wheelbase for which 2 m/s are the usual speed.
 const FULL_SIZE_M: f64 = 2.875;
@@ -27,14 +29,27 @@ const KEYS: [&str; 6] = [
 /// Drives what a car is identified by, and names the command that identifies it.
 ///
 /// # Errors
-/// As those of `pathtune drive`.
-pub(crate) fn excite(args: &ExciteArgs, services: Services) -> Result<EndedRun, Failure> {
+/// As those of `pathtune drive`; if the drive needs more ground than there is.
+pub(crate) fn excite(
+    args: &ExciteArgs,
+    services: Services,
+    ground: fn(&RunConfig, &[Parameters]) -> [f64; 4],
+) -> Result<EndedRun, Failure> {
     let vehicle = vehicle_of(Path::new(&args.vehicle))?;
     // As much lateral acceleration for its size as a full-size car has.
     let usual_mps = 2.0 * (vehicle.wheelbase_m / FULL_SIZE_M).sqrt();
     let speed_mps = args.speed.unwrap_or((usual_mps * 100.0).round() / 100.0);
-    let steering_rad = args.steering.unwrap_or(if args.compact { 0.2 } else { 0.25 });
-    let turn_rad = if args.compact { 0.25 } else { 0.0 };
+    let (usual_rad, mut turn_rad) = if args.compact { (0.2, 0.25) } else { (0.25, 0.0) };
+    let mut steering_rad = args.steering.unwrap_or(usual_rad);
+    // A car whose wheels turn less gets smaller steps, unless the user says how large they are.
+    if args.steering.is_none() && steering_rad + turn_rad > vehicle.steering_limit_rad {
+        let share = vehicle.steering_limit_rad / (steering_rad + turn_rad);
+        (steering_rad, turn_rad) = (floor_milli(share * steering_rad), floor_milli(share * turn_rad));
+        tell!(
+            "pathtune: the wheels turn by {:.3} rad at most: steps of {steering_rad} rad, around {turn_rad} rad",
+            vehicle.steering_limit_rad
+        );
+    }
     if steering_rad + turn_rad > vehicle.steering_limit_rad {
         return Err(Failure::User(format!(
             "--vehicle {}: turns its wheels by {:.3} rad at most, and this drive needs {:.3}; give less with --steering",
@@ -72,14 +87,67 @@ pub(crate) fn excite(args: &ExciteArgs, services: Services) -> Result<EndedRun, 
         words.extend(is_on.then(|| OsString::from(word)));
     }
     // The same command that a user would type: it has its checks and its messages.
-    let Command::Drive(as_drive) = Cli::try_parse_from(words).map_err(anyhow::Error::from)?.command
+    let Command::Drive(mut as_drive) =
+        Cli::try_parse_from(words).map_err(anyhow::Error::from)?.command
     else {
         unreachable!("the words begin with drive");
     };
+    let config = setup::layers(as_drive.maneuver.as_deref(), &as_drive.setup, None)?.resolve()?;
+    let set = parse_sets(std::slice::from_ref(&gains), &config)?.remove(0);
+    let needed = ground(&config, &set);
+    match args.ground {
+        Some(there) => {
+            let area = place(needed, there, args)?;
+            let bounds = area.map(|bound| format!("{bound:?}")).join(", ");
+            as_drive.setup.set.push(format!("drive.area_m=[{bounds}]"));
+        }
+        None => {
+            let [length_m, width_m] = sides(needed);
+            tell!(
+                "pathtune: the drive takes {length_m:.0} m by {width_m:.0} m, the way to a stop included; with --box the car is \
+                 kept on its ground"
+            );
+        }
+    }
     let ended = drive(&as_drive, services)?;
     if ended.stopped.is_none() {
         let recording = ended.folder.join("recording.mcap");
         say!("pathtune identify {} --vehicle {}", recording.display(), args.vehicle);
     }
     Ok(ended)
+}
+
+/// Rounded down to thousandths.
+fn floor_milli(value: f64) -> f64 {
+    (value * 1e3).floor() / 1e3
+}
+
+/// Length and width of an area.
+fn sides([least_x, most_x, least_y, most_y]: [f64; 4]) -> [f64; 2] {
+    [most_x - least_x, most_y - least_y]
+}
+
+/// Lays what the drive needs in the middle of the ground that there is; says where the car has to stand.
+fn place(needed: [f64; 4], there: [f64; 2], args: &ExciteArgs) -> Result<[f64; 4], Failure> {
+    let [length_m, width_m] = sides(needed);
+    let spare_m = [there[0] - length_m, there[1] - width_m];
+    if spare_m.iter().any(|spare| *spare < 0.0) {
+        let compact = if args.compact { "" } else { " with --compact," };
+        return Err(Failure::User(format!(
+            "--box {}x{}: the drive takes {length_m:.1} m along the car's heading and {width_m:.1} m across, the way to a stop \
+             included; drive it{compact} slower with --speed or with smaller steps with --steering",
+            there[0], there[1]
+        )));
+    }
+    let [along_m, across_m] = spare_m.map(|spare| 0.5 * spare);
+    let [least_x, most_x, least_y, most_y] = needed;
+    let area = [least_x - along_m, most_x + along_m, least_y - across_m, most_y + across_m];
+    tell!(
+        "pathtune: the drive takes {length_m:.1} m by {width_m:.1} m; start with the tracked point {:.1} m ahead of the rear edge of \
+         the ground and {:.1} m from its right edge, heading along its {} m",
+        -area[0],
+        -area[2],
+        there[0]
+    );
+    Ok(area)
 }

@@ -7,7 +7,7 @@ const LINE_EVERY_NS: u64 = 1_000_000_000;
 #[derive(Debug, Default)]
 pub(crate) struct GateLog {
     state: u32,
-    stands: bool,
+    told: u32,
     told_ns: Option<u64>,
     untold: u64,
 }
@@ -18,9 +18,9 @@ impl GateLog {
         std::mem::replace(&mut self.state, state) != state
     }
 
-    /// Takes whether the vehicle stands although it is told to drive; returns whether that is new.
-    pub(crate) fn begins_to_stand(&mut self, stands: bool) -> bool {
-        !std::mem::replace(&mut self.stands, stands) && stands
+    /// Takes the reasons that are only told; returns those that are new.
+    pub(crate) fn begins(&mut self, told: u32) -> u32 {
+        told & !std::mem::replace(&mut self.told, told)
     }
 
     /// Whether a change is due to be logged now; if so, how many changes before it were not.

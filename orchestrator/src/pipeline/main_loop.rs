@@ -357,8 +357,9 @@ impl<'a> Pipeline<'a> {
             heard = true;
             self.gates.resize_with(message.items().len(), GateLog::default);
             for (slot, (gate, now)) in self.gates.iter_mut().zip(message.items()).enumerate() {
-                if gate.begins_to_stand(has(now.reasons, Safety::STANDS)) {
-                    let what = describe_reasons(Safety::STANDS);
+                let begins = gate.begins(now.reasons & Safety::TOLD);
+                if begins != 0 {
+                    let what = describe_reasons(begins);
                     self.progress.notice(&format!("vehicle {slot}: {what}"));
                 }
                 if !gate.changes_to(now.state) {

@@ -268,11 +268,16 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         );
     }
     let how = how_stopped(it);
-    for (what, how, reasons) in
-        [("stopped", &*how, &it.stopped_for), ("slowed down", "", &it.slowed_for)]
-    {
+    let only_told = ipc_types::Safety::reason_names(ipc_types::Safety::TOLD);
+    let (told, slowed): (Vec<String>, Vec<String>) =
+        it.slowed_for.iter().cloned().partition(|reason| only_told.contains(&&**reason));
+    for (what, reasons) in [
+        (format!("stopped the vehicle{how}"), &it.stopped_for),
+        ("slowed down the vehicle".to_owned(), &slowed),
+        ("noticed".to_owned(), &told),
+    ] {
         if !reasons.is_empty() {
-            say!("the gate {what} the vehicle{how}: {}", in_words(reasons));
+            say!("the gate {what}: {}", in_words(reasons));
         }
     }
     if it.joined {

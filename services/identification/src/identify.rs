@@ -3,6 +3,7 @@
 use config::Vehicle;
 use serde::Serialize;
 
+use crate::compared::{Compared, compared};
 use crate::computed::{Computed, computed, follows};
 use crate::drive::{Drive, Stretch, choose, stretches};
 use crate::fit::{Fitted, fit_speed, fit_steering, refit};
@@ -23,6 +24,16 @@ pub enum Point {
     Tracked,
     /// `ros2.odometry_point_m`: the recording holds what the car published.
     Odometry,
+}
+
+impl Point {
+    /// How far the point lies ahead of the rear axle, as a vehicle's file says.
+    fn of(self, vehicle: &Vehicle) -> f64 {
+        match self {
+            Self::Tracked => vehicle.tracked_point_m,
+            Self::Odometry => vehicle.ros2.odometry_point_m,
+        }
+    }
 }
 
 /// What the user knows.
@@ -91,6 +102,9 @@ pub struct Identification {
     /// The vehicle with the values that were identified.
     #[serde(skip)]
     pub vehicle: Vehicle,
+    /// What was measured beside what is predicted.
+    #[serde(skip)]
+    pub compared: Compared,
 }
 
 impl Identification {
@@ -143,10 +157,7 @@ pub fn identify(
     if correlation < FOLLOWS {
         return Err(Refusal::DoesNotFollow { correlation });
     }
-    let point_m = match options.point {
-        Point::Tracked => vehicle.tracked_point_m,
-        Point::Odometry => vehicle.ros2.odometry_point_m,
-    };
+    let point_m = options.point.of(vehicle);
     let undetermined = || Refusal::Undetermined;
     let measured = options.wheelbase_is_measured;
     let limits = limits_of_steering(vehicle);
@@ -178,6 +189,9 @@ pub fn identify(
         heading_rad: spreads[HEADING],
     };
     let fitted_s = length_s(&chosen);
+    let (old_car, new_car) =
+        (Car { vehicle, point_m }, Car { vehicle: &new, point_m: options.point.of(&new) });
+    let compared = compared(&chosen, old_car, new_car);
     let mut found = Identification {
         delay_and_lag: delay_and_lag(&of_steering, vehicle),
         predictions,
@@ -190,6 +204,7 @@ pub fn identify(
         warnings: Vec::new(),
         drive_next: Vec::new(),
         vehicle: new,
+        compared,
         rows,
     };
     found.warnings = warnings(&found, &of_steering);
@@ -211,11 +226,7 @@ fn predict(
     of_speed: &Fitted,
     of_steering: &Fitted,
 ) -> Vec<Prediction> {
-    let point_of = |of: &Vehicle| match options.point {
-        Point::Tracked => of.tracked_point_m,
-        Point::Odometry => of.ros2.odometry_point_m,
-    };
-    let point_m = point_of(vehicle);
+    let point_m = options.point.of(vehicle);
     let steered = steering::to_vehicle(&of_steering.at, vehicle);
     let part = |fitted: &Fitted, at: Vec<f64>| Fitted { at, ..fitted.clone() };
     let mut pairs = HORIZONS_S.map(|_| Vec::new());
@@ -229,7 +240,7 @@ fn predict(
         rows.extend(speed_rows(&part(of_speed, speed_at), vehicle));
         let new = apply(vehicle, &rows, options);
         let (before, after) =
-            (Car { vehicle, point_m }, Car { vehicle: &new, point_m: point_of(&new) });
+            (Car { vehicle, point_m }, Car { vehicle: &new, point_m: options.point.of(&new) });
         for (over_s, pairs) in HORIZONS_S.into_iter().zip(&mut pairs) {
             pairs.extend(prediction::pairs(stretches, before, after, over_s, fold));
         }

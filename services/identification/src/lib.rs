@@ -15,6 +15,7 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+mod compared;
 mod computed;
 mod drive;
 mod fit;
@@ -26,6 +27,7 @@ mod rows;
 mod speed;
 mod steering;
 
+pub use compared::{Compared, Series, Window};
 pub use drive::{Command, Drive, Odometry};
 pub use identify::{Identification, NoiseFound, Options, Point, Residuals, identify};
 pub use prediction::Prediction;

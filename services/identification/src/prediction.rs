@@ -138,7 +138,7 @@ fn errors(stretches: &[Stretch], car: Car<'_>, over_s: f64, fold: usize) -> Vec<
                 continue;
             }
             last_start_s = now_s;
-            let (x_m, y_m) = predict(stretch, car, &angles, *state, index..end);
+            let (x_m, y_m) = way(stretch, car, &angles, *state, index..end, |_, _| {});
             let [at_x, at_y] = place(stretch, end);
             errors.push((first_block + block, libm::hypot(x_m - at_x, y_m - at_y)));
         }
@@ -169,13 +169,15 @@ fn place(stretch: &Stretch, index: usize) -> [f64; 2] {
     [mean(&mut xs), mean(&mut ys)]
 }
 
-/// Where the odometry's point will be at the end of a range, from the commands alone.
-fn predict(
+/// Where the odometry's point will be at the end of a range, from the commands alone; each place on the way there is passed
+/// to `each`.
+pub(crate) fn way(
     stretch: &Stretch,
     car: Car<'_>,
     angles: &[f64],
     mut state: speed::SpeedLoop,
     range: std::ops::Range<usize>,
+    mut each: impl FnMut(f64, f64),
 ) -> (f64, f64) {
     let start = range.start;
     let [x_m, y_m] = place(stretch, start);
@@ -206,6 +208,8 @@ fn predict(
         rear_x += speed_mps * held_s * cos;
         rear_y += speed_mps * held_s * sin;
         yaw_rad += turned;
+        let (sin, cos) = libm::sincos(yaw_rad);
+        each(rear_x + car.point_m * cos, rear_y + car.point_m * sin);
     });
     let (sin, cos) = libm::sincos(yaw_rad);
     (rear_x + car.point_m * cos, rear_y + car.point_m * sin)

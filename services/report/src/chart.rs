@@ -13,7 +13,7 @@ use crate::decimate::decimate;
 /// One line of a chart.
 #[derive(Debug, Clone)]
 pub(crate) struct Line {
-    /// Its name in the legend.
+    /// Its name in the legend; empty for a line that belongs to another one.
     pub(crate) label: String,
     pub(crate) points: Vec<(f64, f64)>,
     pub(crate) look: Stroke,
@@ -65,7 +65,8 @@ impl Chart<'_> {
 }
 
 fn legend(lines: &[Line], width: f64) -> Legend<'_> {
-    Legend::new(lines.iter().map(|line| (line.label.as_str(), line.look)), width)
+    let named = lines.iter().filter(|line| !line.label.is_empty());
+    Legend::new(named.map(|line| (line.label.as_str(), line.look)), width)
 }
 
 /// Lines in the plane, with the same scale in both directions.

@@ -60,11 +60,11 @@ pub(crate) fn sections(page: &mut Page, drive: &SingleDrive, config: &RunConfig)
             }
             @let how = drive.stopped_how.as_deref().map(|it| format!(" ({})", it.replace('_', " ")));
             @for (what, how, reasons) in [
-                ("stopped", how.unwrap_or_default(), &drive.stopped_for),
-                ("slowed down", String::new(), &drive.slowed_for),
+                ("stopped the vehicle", how.unwrap_or_default(), &drive.stopped_for),
+                ("slowed down the vehicle, or noticed", String::new(), &drive.slowed_for),
             ] {
                 @if !reasons.is_empty() {
-                    p { "The gate " (what) " the vehicle" (how) ": " (reasons.join(", ").replace('_', " ")) "." }
+                    p { "The gate " (what) (how) ": " (reasons.join(", ").replace('_', " ")) "." }
                 }
             }
             p {

@@ -18,6 +18,7 @@ mod error;
 mod figures;
 mod files;
 mod grid;
+mod identified;
 mod laps;
 mod page;
 mod panels;
@@ -38,6 +39,7 @@ use outcome::{Outcome, RunResult};
 
 use canvas::Picture;
 pub use error::ReportError;
+pub use identified::IdentifiedCar;
 use page::Page;
 
 /// Writes the report of the run in this folder, replacing an older one, and returns the path of its page.
@@ -65,21 +67,34 @@ pub fn write_report(run: &Path) -> Result<PathBuf, ReportError> {
         .map_err(|error| ReportError::malformed(&run.join("config.toml"), None, error))?;
     let (html, pictures) = page_of(run, &result, &config, &text)?;
 
-    let folder = run.join("report");
-    if fs::symlink_metadata(&folder).is_ok_and(|meta| !meta.is_dir()) {
+    write_pages(&run.join("report"), &html, &pictures)
+}
+
+/// Writes the page of an identified car and its pictures into this folder, and returns the path of the page.
+///
+/// # Errors
+/// If they cannot be written.
+pub fn write_identified(folder: &Path, car: IdentifiedCar<'_>) -> Result<PathBuf, ReportError> {
+    let (html, pictures) = identified::page_of(car)?;
+    write_pages(folder, &html, &pictures)
+}
+
+/// Writes a page and its pictures into a folder, and removes pictures that it does not have.
+fn write_pages(folder: &Path, html: &str, pictures: &[Picture]) -> Result<PathBuf, ReportError> {
+    if fs::symlink_metadata(folder).is_ok_and(|meta| !meta.is_dir()) {
         // Pictures would be written, and others removed, wherever a link points to.
         let problem = io::Error::other("is not a folder; remove it");
-        return Err(ReportError::Write { path: folder, problem });
+        return Err(ReportError::Write { path: folder.to_owned(), problem });
     }
-    fs::create_dir_all(&folder)
-        .map_err(|problem| ReportError::Write { path: folder.clone(), problem })?;
-    for picture in &pictures {
+    fs::create_dir_all(folder)
+        .map_err(|problem| ReportError::Write { path: folder.to_owned(), problem })?;
+    for picture in pictures {
         replace(&folder.join(format!("{}.svg", picture.name)), &picture.svg)?;
     }
-    remove_others(&folder, |stem| pictures.iter().any(|picture| picture.name == stem))?;
+    remove_others(folder, |stem| pictures.iter().any(|picture| picture.name == stem))?;
     // The page is written last, so that its pictures exist when the page does.
     let index = folder.join("index.html");
-    replace(&index, &html)?;
+    replace(&index, html)?;
     Ok(index)
 }
 

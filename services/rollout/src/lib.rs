@@ -94,7 +94,11 @@ impl<P: Plant> Rollout<P> {
         Self {
             vehicle,
             controller: DriveController::new(config),
-            fresh_watch: Watch::new(config),
+            fresh_watch: {
+                let mut watch = Watch::new(config);
+                watch.tells_truth();
+                watch
+            },
             fresh_pace: Pace::new(config),
             tick_s: config.drive.tick_s,
             zones: ZoneTracker::new(config),

@@ -2,6 +2,7 @@
 //!
 //! Both are looked at as means over 0.1 s: the noise of a single pose would exceed a small car's limits. The nearest
 //! place of the path is looked for near the last one, so that another stretch of the path that comes near does not count.
+//! Where a path's file tells the road's edges, the vehicle's body may not pass them either.
 //!
 //! A vehicle that was rearmed beside its path may be farther away than its limit. It is allowed to return: its limit counts
 //! from the nearest that it has come to the path since, until it is as near as the limit itself.
@@ -11,6 +12,7 @@ use ipc_types::Safety;
 use tracking::{Path, PathFollower, Pose, wrap_angle};
 
 use crate::mean::Means;
+use crate::road::Road;
 
 /// The deviation of one vehicle from its path.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,14 +21,16 @@ pub struct Deviation {
     follower: PathFollower,
     limit_m: f64,
     limit_rad: f64,
+    /// `None` where its edges are not known.
+    road: Option<Road>,
     /// Of x, y and yaw against those of the mean's first pose: numbers that are small lose nothing.
     means: Means<3>,
     first: Pose,
     is_lost: bool,
     /// It was rearmed, and has not been seen since.
     is_rearmed: bool,
-    /// How far it may be: `limit_m`, or more while it returns to its path after a rearm.
-    allowed_m: f64,
+    /// How much farther than its limit it may be: 0, but while it returns to its path after a rearm.
+    excess_m: f64,
     faults: u32,
 }
 
@@ -41,6 +45,8 @@ impl Deviation {
         let path = Path::new(&config.path);
         Some(Self {
             follower: PathFollower::new(&path, 0.0),
+            // Who lifts the limit of the distance does not want the path watched.
+            road: Road::new(config, &path).filter(|_| limit_m.is_finite()),
             path,
             limit_m,
             limit_rad,
@@ -48,7 +54,7 @@ impl Deviation {
             first: Pose::default(),
             is_lost: false,
             is_rearmed: false,
-            allowed_m: limit_m,
+            excess_m: 0.0,
             faults: 0,
         })
     }
@@ -97,25 +103,31 @@ impl Deviation {
     fn judge(&mut self, mean: Pose) {
         let distance_m = self.follower.distance_m(&self.path, mean.x_m, mean.y_m);
         let along_m = self.follower.along_m(&self.path, mean.x_m, mean.y_m);
-        let heading_rad = wrap_angle(mean.yaw_rad - self.path.at(along_m).yaw_rad);
+        let at = self.path.at(along_m);
+        let heading_rad = wrap_angle(mean.yaw_rad - at.yaw_rad);
+        let to_the_edge_m = self.road.as_ref().map_or(f64::INFINITY, |road| {
+            let (sin, cos) = (libm::sin(at.yaw_rad), libm::cos(at.yaw_rad));
+            let is_left = (mean.y_m - at.y_m) * cos - (mean.x_m - at.x_m) * sin > 0.0;
+            road.room_m(along_m, is_left)
+        });
+        let limit_m = self.limit_m.min(to_the_edge_m);
         // How far it may be counts from where it was rearmed, and shrinks while it comes nearer.
-        let by_return_m = distance_m + self.limit_m;
-        self.allowed_m = match std::mem::take(&mut self.is_rearmed) {
-            true if distance_m > self.limit_m => by_return_m,
-            true => self.limit_m,
-            false if distance_m > self.limit_m => self.allowed_m.min(by_return_m),
-            false => self.limit_m,
+        self.excess_m = match std::mem::take(&mut self.is_rearmed) {
+            _ if distance_m <= limit_m => 0.0,
+            true => distance_m,
+            false => self.excess_m.min(distance_m),
         };
         self.faults = 0;
-        if distance_m > self.allowed_m {
-            self.faults |= Safety::PATH_DISTANCE;
+        if distance_m > limit_m + self.excess_m {
+            let is_edge = distance_m <= self.limit_m;
+            self.faults |= if is_edge { Safety::ROAD_EDGE } else { Safety::PATH_DISTANCE };
         }
         if heading_rad.abs() > self.limit_rad {
             self.faults |= Safety::PATH_HEADING;
         }
     }
 
-    /// [`Safety::PATH_DISTANCE`] and [`Safety::PATH_HEADING`], if the last mean was beyond their limits.
+    /// [`Safety::PATH_DISTANCE`], [`Safety::ROAD_EDGE`] and [`Safety::PATH_HEADING`], if the last mean was beyond their limits.
     pub fn faults(&self) -> u32 {
         self.faults
     }

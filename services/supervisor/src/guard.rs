@@ -3,11 +3,9 @@
 use config::RunConfig;
 use ipc_types::Safety;
 
-/// Faults that are only told: a vehicle that stands is safe.
-const TOLD: u32 = Safety::STANDS;
 /// Faults that stop the vehicle at once: nobody can drive it, and whatever is told makes it worse; or they rest on
-/// seconds of evidence already.
-const AT_ONCE: u32 = Safety::STEERING_REVERSED | Safety::OUT_OF_ENVELOPE;
+/// seconds of evidence already; or there is just the room for a stop.
+const AT_ONCE: u32 = Safety::STEERING_REVERSED | Safety::OUT_OF_ENVELOPE | Safety::AREA;
 
 /// How the vehicle is allowed to drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,7 +72,7 @@ impl Guard {
         measured_mps: f64,
     ) -> State {
         match self.state {
-            State::Normal | State::Degraded if faults & !TOLD == 0 => {
+            State::Normal | State::Degraded if faults & !Safety::TOLD == 0 => {
                 self.faulty_s = (self.faulty_s - dt_s).max(0.0);
                 self.reasons = faults;
                 self.state = State::Normal;

@@ -6,6 +6,7 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+mod area;
 mod channel;
 mod deviation;
 pub mod envelope;
@@ -17,11 +18,14 @@ mod mean;
 mod pace;
 mod plausibility;
 mod response;
+mod road;
 #[cfg(feature = "process")]
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;
+mod unseen;
 mod watch;
 
+pub use area::Footprint;
 pub use channel::Channel;
 pub use deviation::Deviation;
 pub use gate::{Change, Gate, Passed, RawCommand};

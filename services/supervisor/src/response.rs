@@ -12,6 +12,7 @@ use tracking::SteeringChain;
 
 use crate::Movement;
 use crate::mean::Means;
+use crate::unseen::Unseen;
 
 /// Slower than this many wheelbases in a second, or this many m/s, the yaw rate says little about the steering.
 const CRAWLS_WHEELBASES_PER_S: f64 = 0.2;
@@ -48,6 +49,8 @@ pub struct Response {
     speed_mps: f64,
     steering_rad: f64,
     tick: Option<u64>,
+    /// `None` for a vehicle that tells the truth: a simulated one may follow its commands exactly.
+    unseen: Option<Unseen>,
     /// Of speed, yaw rate, the model's angle and the commanded speed.
     means: Means<4>,
     ticks: u64,
@@ -88,6 +91,7 @@ impl Response {
             speed_mps: 0.0,
             steering_rad: 0.0,
             tick: None,
+            unseen: Some(Unseen::new(config)),
             means: Means::new(config),
             ticks: 0,
             ceiling_mps: 0.0,
@@ -121,6 +125,11 @@ impl Response {
         self.tick = None;
     }
 
+    /// The vehicle tells the truth beside what it measures.
+    pub fn tells_truth(&mut self) {
+        self.unseen = None;
+    }
+
     /// Forgets what spoke against the vehicle.
     pub fn forgive(&mut self) {
         self.means.restart();
@@ -151,6 +160,11 @@ impl Response {
         }
         self.ticks += ticks;
         let Movement { speed_mps, yaw_rate_radps, .. } = movement;
+        if let Some(unseen) = &mut self.unseen
+            && speed_mps > self.crawls_mps
+        {
+            unseen.see(steering_rad, speed_mps, yaw_rate_radps);
+        }
         let told_mps = if obeys { self.speed_mps } else { 0.0 };
         self.raise_ceiling(speed_mps, told_mps, self.tick_s * ticks as f64);
         let numbers = [speed_mps, yaw_rate_radps, self.steering.angle_rad(), told_mps];
@@ -196,7 +210,8 @@ impl Response {
         self.faults = flag(self.reversed_rad_s > REVERSED_RAD_S, Safety::STEERING_REVERSED)
             | flag(self.astray_rad_s > ASTRAY_RAD_S, Safety::STEERING_IGNORED)
             | flag(self.run_m > RUN_WHEELBASES * self.wheelbase_m, Safety::SPEED_IGNORED)
-            | flag(self.stands_s > self.may_stand_s, Safety::STANDS);
+            | flag(self.stands_s > self.may_stand_s, Safety::STANDS)
+            | flag(self.unseen.as_ref().is_some_and(Unseen::is_computed), Safety::STEERING_UNSEEN);
     }
 
     fn judge_steering(&mut self, told: f64, shown: f64, lasted_s: f64) {

@@ -227,6 +227,9 @@ impl Slot {
         if joins {
             self.watch.resume(movement, steering_rad);
         }
+        if has(odometry.status, Odometry::HAS_TRUTH) {
+            self.watch.tells_truth();
+        }
         let obeys = !has(odometry.status, Odometry::OWN_STOP);
         let faults = self.watch.see(tick, movement, obeys);
         if pose.is_finite() {

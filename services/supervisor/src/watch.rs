@@ -3,6 +3,7 @@
 use config::RunConfig;
 use ipc_types::{Command, Safety};
 
+use crate::area::Area;
 use crate::envelope::{Alarm, Envelope};
 use crate::{
     Action, Deviation, Gate, Guard, Ladder, Movement, Passed, Plausibility, RawCommand, Response,
@@ -18,6 +19,7 @@ pub struct Watch {
     response: Option<Response>,
     /// Boxed, because it is large, and most drives have none.
     envelope: Option<Box<Envelope>>,
+    area: Option<Area>,
     governor: SpeedGovernor,
     guard: Guard,
     ladder: Ladder,
@@ -41,6 +43,7 @@ impl Watch {
             deviation: Deviation::new(config),
             response: Response::new(config),
             envelope: Envelope::at_work(config).map(Box::new),
+            area: Area::new(config),
             governor: SpeedGovernor::new(config),
             guard: Guard::new(config),
             ladder: Ladder::new(config),
@@ -85,6 +88,13 @@ impl Watch {
         }
     }
 
+    /// The vehicle tells the truth beside what it measures: it is simulated.
+    pub fn tells_truth(&mut self) {
+        if let Some(response) = &mut self.response {
+            response.tells_truth();
+        }
+    }
+
     /// Tells where the reference is, along the path: a vehicle that may be elsewhere than it was is looked for there.
     pub fn look_near(&mut self, along_m: f64) {
         if let Some(deviation) = &mut self.deviation {
@@ -118,6 +128,9 @@ impl Watch {
             if let Some(response) = &mut self.response {
                 response.see(tick, movement, obeys);
             }
+            if let Some(area) = &mut self.area {
+                area.see(movement);
+            }
             // How a vehicle is stopped is not how good drives drive.
             if let Some(envelope) = &mut self.envelope
                 && !self.guard.state().is_latched()
@@ -133,6 +146,7 @@ impl Watch {
         self.deviation.as_ref().map_or(0, Deviation::faults)
             | self.response.as_ref().map_or(0, Response::faults)
             | self.alarm().map_or(0, |it| it.channel.reason())
+            | self.area.as_ref().map_or(0, Area::faults)
     }
 
     /// The command at a moment `dt_s` after the last one: the raw command, within limits, or one of the

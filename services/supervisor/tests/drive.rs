@@ -308,3 +308,60 @@ fn a_successor_goes_on_with_the_stop_that_was_begun() {
     assert!(last_mps < 1.0 && end(2.0).speed_mps == -1.0);
     assert_eq!(end(0.0).speed_mps, 0.0);
 }
+
+#[test]
+fn the_body_keeps_off_the_road_s_edges() {
+    let mut config = config(&[]);
+    config.vehicle.body_half_width_m = 1.0;
+    config.path.pieces = Vec::new();
+    config.path.points = (0..=10).map(|at| [5.0 * f64::from(at), 0.0]).collect();
+    config.path.widths_m = vec![[2.0, 9.0]; 11];
+    config.path.widths_m[10] = [4.0, 9.0];
+    let stay = |x_m: f64, y_m: f64| {
+        deviation_faults(&config, std::iter::repeat_n(pose(x_m, y_m, 0.0), 10))
+    };
+    assert_eq!((stay(10.0, 0.99), stay(10.0, 1.01)), (0, Safety::ROAD_EDGE));
+    // On the right, the distance from the path is less than the road is wide.
+    assert_eq!((stay(10.0, -2.99), stay(10.0, -3.01)), (0, Safety::PATH_DISTANCE));
+    // Half way to the last point, 2 m.
+    assert_eq!((stay(47.5, 1.99), stay(47.5, 2.01)), (0, Safety::ROAD_EDGE));
+    // One that is rearmed beyond the edge returns, and does not go further out.
+    let mut deviation = Deviation::new(&config).unwrap();
+    let mut see = |y_m: f64, rearmed: bool| {
+        if rearmed {
+            deviation.rearm();
+        }
+        (0..10).for_each(|_| deviation.see(pose(10.0, y_m, 0.0)));
+        deviation.faults()
+    };
+    assert_eq!((see(1.5, false), see(1.5, true), see(1.2, false)), (Safety::ROAD_EDGE, 0, 0));
+    assert_eq!((see(2.3, false), see(0.5, false)), (Safety::ROAD_EDGE, 0));
+    assert_eq!(see(1.1, false), Safety::ROAD_EDGE);
+}
+
+#[test]
+fn a_yaw_rate_that_is_computed_from_the_command_is_told() {
+    let config = config(&["vehicle.steering_rate_radps=9.0"]);
+    let drive = |tells_truth: bool, lag: f64| {
+        let mut watch = Watch::new(&config);
+        if tells_truth {
+            watch.tells_truth();
+        }
+        let (mut wheel_rad, mut told_rad) = (0.0, 0.0);
+        let mut x_m = 0.0;
+        for tick in 0..1500 {
+            wheel_rad += (told_rad - wheel_rad) * lag;
+            x_m += 2.0 * TICK_S;
+            let yaw_rate_radps = 2.0 * f64::tan(wheel_rad) / 2.875;
+            let at = pose(x_m, 0.0, 0.0);
+            watch.see(tick, Movement { pose: at, speed_mps: 2.0, yaw_rate_radps }, true);
+            let steering_rad = 0.1 * (f64::from(tick as u32) * 0.03).sin();
+            let raw = RawCommand { speed_mps: 2.0, yaw_rate_radps: 0.0, steering_rad };
+            told_rad = watch.command(TICK_S, 0, Some(raw)).steering_rad;
+        }
+        (watch.state(), watch.reasons())
+    };
+    assert_eq!(drive(false, 1.0), (State::Normal, Safety::STEERING_UNSEEN));
+    assert_eq!(drive(true, 1.0), (State::Normal, 0));
+    assert_eq!(drive(false, 0.3), (State::Normal, 0));
+}
