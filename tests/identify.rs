@@ -157,13 +157,22 @@ fn what_was_measured_is_drawn_beside_what_is_predicted() {
     for part in ["wheelbase_m", "drive.csv", "predicted over 3 s", "Figure 5."] {
         assert!(page.contains(part), "{part}");
     }
-    for name in ["way", "speed-predicted", "speed-residuals", "yaw-rate-predicted", "yaw-rate-residuals"] {
-        assert!(sandbox.text(&format!("pages/mine/{name}.svg")).contains("with the new ones"), "{name}");
+    for name in
+        ["way", "speed-predicted", "speed-residuals", "yaw-rate-predicted", "yaw-rate-residuals"]
+    {
+        assert!(
+            sandbox.text(&format!("pages/mine/{name}.svg")).contains("with the new ones"),
+            "{name}"
+        );
     }
     // Drawn again; but never into a folder of something else.
     assert!(sandbox.run(&args).status.success());
     fs::write(sandbox.path("pages/mine/thesis.tex"), "").unwrap();
-    refused(&sandbox, &["drive.csv", "--report", "pages/mine"], &["--report pages/mine", "thesis.tex"]);
+    refused(
+        &sandbox,
+        &["drive.csv", "--report", "pages/mine"],
+        &["--report pages/mine", "thesis.tex"],
+    );
     sandbox.assert_clean();
 }
 

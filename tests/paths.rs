@@ -324,9 +324,8 @@ fn the_vehicle_stays_in_its_area() {
     has(&String::from_utf8_lossy(&output.stdout), &["it would leave the area"]);
     let config = config::Layers::maneuver("lane_change").unwrap().resolve().unwrap();
     let ahead_m = config.vehicle.body_front_m - config.vehicle.tracked_point_m;
-    let farthest_m = rows_of(&sandbox)
-        .iter()
-        .fold(0.0, |most: f64, row| most.max(row["x_m"] + ahead_m));
+    let farthest_m =
+        rows_of(&sandbox).iter().fold(0.0, |most: f64, row| most.max(row["x_m"] + ahead_m));
     assert!((35.0..40.0).contains(&farthest_m), "{farthest_m}");
     for (area, why) in [
         ("[5.0, 40.0, -5.0, 5.0]", "does not hold the start"),

@@ -44,7 +44,8 @@ pub(crate) fn excite(
     // A car whose wheels turn less gets smaller steps, unless the user says how large they are.
     if args.steering.is_none() && steering_rad + turn_rad > vehicle.steering_limit_rad {
         let share = vehicle.steering_limit_rad / (steering_rad + turn_rad);
-        (steering_rad, turn_rad) = (floor_milli(share * steering_rad), floor_milli(share * turn_rad));
+        (steering_rad, turn_rad) =
+            (floor_milli(share * steering_rad), floor_milli(share * turn_rad));
         tell!(
             "pathtune: the wheels turn by {:.3} rad at most: steps of {steering_rad} rad, around {turn_rad} rad",
             vehicle.steering_limit_rad
