@@ -314,17 +314,14 @@ fn the_body_keeps_off_the_road_s_edges() {
     let mut config = config(&[]);
     config.vehicle.body_half_width_m = 1.0;
     config.path.pieces = Vec::new();
-    config.path.points = (0..=10).map(|at| [5.0 * f64::from(at), 0.0]).collect();
-    config.path.widths_m = vec![[2.0, 9.0]; 11];
-    config.path.widths_m[10] = [4.0, 9.0];
+    config.path.points = vec![[0.0, 0.0], [50.0, 0.0]];
+    config.path.widths_m = vec![[2.0, 9.0]; 2];
     let stay = |x_m: f64, y_m: f64| {
         deviation_faults(&config, std::iter::repeat_n(pose(x_m, y_m, 0.0), 10))
     };
     assert_eq!((stay(10.0, 0.99), stay(10.0, 1.01)), (0, Safety::ROAD_EDGE));
     // On the right, the distance from the path is less than the road is wide.
     assert_eq!((stay(10.0, -2.99), stay(10.0, -3.01)), (0, Safety::PATH_DISTANCE));
-    // Half way to the last point, 2 m.
-    assert_eq!((stay(47.5, 1.99), stay(47.5, 2.01)), (0, Safety::ROAD_EDGE));
     // One that is rearmed beyond the edge returns, and does not go further out.
     let mut deviation = Deviation::new(&config).unwrap();
     let mut see = |y_m: f64, rearmed: bool| {
