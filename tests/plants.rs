@@ -46,6 +46,45 @@ fn a_training_over_plants_is_the_same_whatever_the_fleet_and_whoever_dies() {
 }
 
 #[test]
+fn noise_over_plants_is_the_same_for_all_sets_whatever_the_fleet_and_whoever_dies() {
+    let sandbox = Sandbox::new();
+    let plants = "[[plants]]\nname = \"as it is\"\n[[plants]]\nname = \"late\"\nadd = { steering_delay_s = 0.05 }\n";
+    fs::write(sandbox.path("plants.toml"), plants).unwrap();
+    let sets =
+        ["drive.loop_time_s=8.0", "robust.finalists=2", "robust.repeats=2", "robust.fresh=4"];
+    let mut args =
+        vec!["roundabout", "--noise", "--tuner", "gp", "--drives", "9", "--over", "plants.toml"];
+    sets.iter().for_each(|set| args.extend(["--set", set]));
+    let train = |name: &str, more: &[&str]| sandbox.train(name, &[&args[..], more].concat());
+    let alone = train("alone", &[]);
+    let killed = "kill trainer@drive=3; kill simulator@drive=7,tick=100; kill trainer@drive=15";
+    let other = train("killed", &["--fleet", "1", "--chaos", killed]);
+    for key in ["digest", "gains", "value", "noise", "grid", "plants", "baselines"] {
+        assert_eq!(other[key], alone[key], "{key}");
+    }
+    for file in ["drives.csv", "episodes.csv"] {
+        assert_eq!(sandbox.text(&format!("killed/{file}")), sandbox.text(&format!("alone/{file}")));
+    }
+    assert_ne!(train("seed", &["--seed", "2"])["digest"], alone["digest"]);
+    // What is told comes from plants that chose nothing.
+    assert_eq!((&alone["noise"]["choosing"], &alone["noise"]["repeats"]), (&4.into(), &4.into()));
+    assert_eq!(alone["plants"]["fresh"]["noise"], true);
+
+    // Plain calls come to the same, and each set was driven once: the same set with the same noise is the same drive.
+    let mut layers = config::Layers::maneuver("roundabout").unwrap();
+    let of_training =
+        ["noise.enabled=true", "learning.tuner=gp", "over.by=mean", "vehicle.gear_engaged=false"];
+    of_training.iter().chain(&sets).for_each(|set| layers.set(set).unwrap());
+    layers.set("tuner.settings.drives=9").unwrap();
+    layers.add_plants(&sandbox.path("plants.toml")).unwrap();
+    let config = layers.resolve().unwrap();
+    let oracle = trainer::train_by_rollout(&config);
+    assert_eq!(alone["digest"], trainer::digest(&oracle));
+    assert_eq!(oracle.visited().len(), 9);
+    sandbox.assert_clean();
+}
+
+#[test]
 fn a_fragile_set_is_called_so_and_promoted_only_by_force() {
     let sandbox = Sandbox::new();
     fs::write(sandbox.path("car.toml"), "name = \"mine\"\n").unwrap();
@@ -78,7 +117,6 @@ fn a_fragile_set_is_called_so_and_promoted_only_by_force() {
     for (args, wanted) in [
         (&["--over", "nowhere.toml"][..], "nowhere.toml"),
         (&["--over", "car.toml"], "car.toml"),
-        (&["--over", "default", "--noise"], "--noise"),
         (&["--over", "default", "--replace", "vehicle=true"], "--over"),
     ] {
         let refused = sandbox.run(&[&["train", "roundabout"][..], args].concat());

@@ -32,12 +32,13 @@ choice!(
 pub struct Over {
     pub by: OverBy,
     pub plants: Vec<PlantChange>,
+    pub repeats: u32,
     pub fragile_below_s: f64,
 }
 
 impl Default for Over {
     fn default() -> Self {
-        Self { by: OverBy::Nominal, plants: Vec::new(), fragile_below_s: 0.2 }
+        Self { by: OverBy::Nominal, plants: Vec::new(), repeats: 2, fragile_below_s: 0.2 }
     }
 }
 
@@ -264,6 +265,36 @@ impl RunConfig {
     pub fn plants(&self) -> usize {
         if self.over.by == OverBy::Nominal { 1 } else { self.plant_changes().len() }
     }
+
+    /// Number of drives of a set on each of them: without noise they would all be the same.
+    pub fn drives_of_plant(&self) -> usize {
+        if self.is_noisy_over_plants() { self.over.repeats as usize } else { 1 }
+    }
+
+    /// Number of drives that one step of a training takes.
+    pub fn drives_of_step(&self) -> usize {
+        self.plants() * self.drives_of_plant()
+    }
+
+    /// Whether each drive of a training has a noise of its own, so that a set is another one each time it is driven. Over
+    /// plants it is not: there the noise is the same for all sets, so that it does not tell them apart.
+    pub fn steps_differ(&self) -> bool {
+        self.noise.enabled && self.over.by == OverBy::Nominal
+    }
+
+    /// How the drives are made by which sets are ranked, in words.
+    pub fn ranked_how(&self) -> &'static str {
+        if self.is_noisy_over_plants() {
+            "over the plants, with noise that chose nothing"
+        } else {
+            "noise-free"
+        }
+    }
+
+    /// Whether each set is driven over plants, with noise.
+    pub fn is_noisy_over_plants(&self) -> bool {
+        self.noise.enabled && self.over.by != OverBy::Nominal
+    }
 }
 
 pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
@@ -286,11 +317,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
             config.check_plant(change).map_err(key)?;
         }
     }
-    if config.over.by != OverBy::Nominal && config.noise.enabled {
-        let problem = "is not \"nominal\", but with noise a set is not driven over plants; leave out --noise or --over";
-        return Err(("over.by".to_owned(), problem.to_owned()));
-    }
-    Ok(())
+    crate::validate::within("over.repeats", f64::from(config.over.repeats), 1.0, 100.0)
 }
 
 #[cfg(test)]
@@ -345,7 +372,17 @@ mod tests {
         assert!(added.contains("move it to scale"), "{added}");
         let word = refused("{name='x',scale={name=2.0}}");
         assert!(word.contains("no number"), "{word}");
-        let noisy = config(&["over.by=mean", "noise.enabled=true"]).unwrap_err().to_string();
-        assert!(noisy.contains("--noise"), "{noisy}");
+        let repeats = config(&["over.repeats=0"]).unwrap_err().to_string();
+        assert!(repeats.contains("over.repeats"), "{repeats}");
+    }
+
+    #[test]
+    fn with_noise_a_step_is_several_drives_on_each_plant_and_the_same_again_each_time() {
+        let plain = config(&["over.by=mean"]).unwrap();
+        assert_eq!((plain.drives_of_step(), plain.steps_differ()), (9, false));
+        let noisy = config(&["over.by=mean", "noise.enabled=true", "over.repeats=3"]).unwrap();
+        assert_eq!((noisy.drives_of_step(), noisy.steps_differ()), (27, false));
+        let nominal = config(&["noise.enabled=true", "over.repeats=3"]).unwrap();
+        assert_eq!((nominal.drives_of_step(), nominal.steps_differ()), (1, true));
     }
 }

@@ -212,9 +212,10 @@ impl RunConfig {
         }
     }
 
-    /// Number of drives for which a training can wait at the same time: one for each learner and plant.
+    /// Number of drives for which a training can wait at the same time: one for each learner, plant, and
+    /// drive on that.
     pub fn drivers(&self) -> usize {
-        self.learners() * self.plants()
+        self.learners() * self.drives_of_step()
     }
 
     /// Number of vehicles in the fleet: `run.fleet`, or one for each learner and plant.

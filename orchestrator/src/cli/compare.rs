@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::PathReading;
+use super::{OverArgs, PathReading};
 
 /// Options of `compare`.
 #[derive(Debug, Args)]
@@ -36,6 +36,9 @@ pub struct CompareArgs {
     /// Put noise on the odometry
     #[arg(long)]
     pub noise: bool,
+    /// Over which plants each set is driven; each of these counts as one drive.
+    #[command(flatten)]
+    pub over: OverArgs,
     /// Let the tuners choose between the values of the grid; only for those that have the setting `draw`
     #[arg(long)]
     pub continuous: bool,

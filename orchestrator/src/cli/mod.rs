@@ -4,6 +4,7 @@ mod calibrate;
 mod compare;
 mod excite;
 mod identify;
+mod over;
 mod path;
 mod sweep;
 mod time;
@@ -19,6 +20,7 @@ pub use calibrate::CalibrateArgs;
 pub use compare::CompareArgs;
 pub use excite::ExciteArgs;
 pub use identify::{CommandType, IdentifyArgs};
+pub use over::OverArgs;
 pub use path::PathReading;
 pub use sweep::{EngineArgs, KubernetesArgs, RunJobsArgs, SlurmArgs, StudyArg, SweepCommand};
 
@@ -214,13 +216,9 @@ pub struct TrainArgs {
     /// Drive only sets that stay within M metres of the path on all simulated plants [default: 1]
     #[arg(long, value_name = "M", requires = "simulate_first")]
     pub within: Option<f64>,
-    /// Judge each set by its drives on several plants, which are vehicles that the car may really be: `default` for eight
-    /// around the vehicle's file and a faster drive, or a TOML file of `plants`, each with a name, `add` and `scale`
-    #[arg(long, value_name = "default|FILE")]
-    pub over: Option<String>,
-    /// How the drives over plants are judged together
-    #[arg(long, value_name = "HOW", default_value = "mean", requires = "over", value_parser = ["mean", "p90", "worst"])]
-    pub over_by: String,
+    /// Over which plants each set is driven.
+    #[command(flatten)]
+    pub over: OverArgs,
     /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,
@@ -305,6 +303,12 @@ pub struct GridArgs {
     /// Gains to rank among those of the grid: numbers in the law's order, Kv,Kl,Ks,Ki for the paper's law; repeatable
     #[arg(long, value_name = "A,B,…", allow_hyphen_values = true)]
     pub gains: Vec<String>,
+    /// Over which plants each set is driven.
+    #[command(flatten)]
+    pub over: OverArgs,
+    /// Put noise on the odometry; with --over alone, where each plant has the same noise for all sets
+    #[arg(long, requires = "over")]
+    pub noise: bool,
     /// Options that every run has.
     #[command(flatten)]
     pub setup: SetupArgs,

@@ -4,6 +4,7 @@ use config::RunConfig;
 use outcome::{CompareResult, CompareRow};
 
 use crate::cli::CompareArgs;
+use crate::commands::train::put_plants;
 use crate::runs::setup::{self, Sources};
 use crate::words::terminal::{say, tell};
 use crate::words::{Failure, comparison};
@@ -43,6 +44,7 @@ fn config_of(args: &CompareArgs, tuner: &str, quiet: bool) -> Result<RunConfig, 
     if args.noise {
         layers.put("--noise", "noise.enabled", true)?;
     }
+    put_plants(&mut layers, &args.over)?;
     let settings = layers.clone().resolve()?.tuner.settings.0;
     if settings.contains_key("drives") {
         layers.put("--drives", "tuner.settings.drives", i64::from(args.drives))?;

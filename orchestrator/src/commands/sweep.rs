@@ -1,10 +1,11 @@
 //! `pathtune validate` and `pathtune grid`: run lists of drives through the pipeline, and print their tables.
 
 use config::launch::Role;
-use config::{MAX_FLEET, Parameters, RunConfig, SweepKind, SweepPlan};
+use config::{MAX_FLEET, OverBy, Parameters, RunConfig, SweepKind, SweepPlan};
 
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
 use crate::commands::drive::envelope;
+use crate::commands::train::{check_plants, put_plants};
 use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
 use crate::runs::result::conclude;
@@ -45,22 +46,34 @@ pub(crate) fn validate(args: &ValidateArgs, services: Services) -> Result<EndedR
     sweep(&args.setup, config, services, plan, Kind::named("validate"))
 }
 
-/// Drives every gain set of the grid without noise.
+/// Drives every gain set of the grid: without noise, but over plants with it where that is asked for.
 ///
 /// # Errors
 /// As [`validate`].
 pub(crate) fn grid(args: &GridArgs, services: Services) -> Result<EndedRun, Failure> {
-    let mut config = setup::layers(args.maneuver.as_deref(), &args.setup, None)?.resolve()?;
-    if config.noise.enabled {
-        let why = "noise.enabled: a grid is driven without noise; leave this key out";
+    let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, None)?;
+    put_plants(&mut layers, &args.over)?;
+    if args.noise {
+        layers.put("--noise", "noise.enabled", true)?;
+    }
+    let mut config = layers.resolve()?;
+    if config.steps_differ() {
+        let why = "noise.enabled: a grid is driven without noise, unless it is driven over plants; leave this key out, or \
+                   add --over";
         return Err(Failure::User(why.to_owned()));
+    }
+    if config.over.by != OverBy::Nominal {
+        check_plants(&config, &setup::launch(&args.setup, services, Some("schedule"))?)?;
+    }
+    if config.noise.enabled && config.robust.engage_gear {
+        config.vehicle.gear_engaged = true;
     }
     let sets = parse_sets(&args.gains, &config)?;
     if let Some(pair) = sets.iter().position(|set| set.len() != 1) {
         let gains = &args.gains[pair];
         return Err(Failure::User(format!("--gains {gains}: a grid drives one set at a time")));
     }
-    let drives = config.grid().len() + sets.len() + 1;
+    let drives = (config.grid().len() + sets.len() + 1) * config.drives_of_step();
     fill_fleet(&mut config, &args.setup, drives);
     let plan = plan(&config, SweepKind::Grid, 0, &sets);
     sweep(&args.setup, config, services, plan, Kind::named("grid"))

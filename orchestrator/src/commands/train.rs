@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use config::launch::Launch;
-use config::{RunConfig, SweepPlan};
+use config::{Layers, RunConfig, SweepPlan};
 use outcome::RunResult;
 
-use crate::cli::TrainArgs;
+use crate::cli::{OverArgs, TrainArgs};
 use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
 use crate::runs::folder::of_earlier_start;
@@ -119,15 +119,9 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
         }
         layers.put("--drives", "tuner.settings.drives", i64::from(drives))?;
     }
-    if let Some(over) = &args.over {
-        layers.put("--over", "over.by", args.over_by.as_str())?;
-        if over != "default" {
-            layers.add_plants(Path::new(over))?;
-        }
-        if !launch.ring_is_ours() || layers.clone().resolve()?.run.realtime {
-            let why = "--over: plants are driven by our own simulator in lockstep; leave out --replace, --launch and --realtime";
-            return Err(Failure::User(why.to_owned()));
-        }
+    if args.over.over.is_some() {
+        put_plants(&mut layers, &args.over)?;
+        check_plants(&layers.clone().resolve()?, launch)?;
     }
     let mut config = layers.resolve()?;
     if config.learning.tuner == SIMULATE_FIRST && config.plants() > 1 {
@@ -140,4 +134,29 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
         config.vehicle.gear_engaged = true;
     }
     Ok(config)
+}
+
+/// Puts the plants of the command line on top.
+///
+/// # Errors
+/// If their file is not one of plants.
+pub(crate) fn put_plants(layers: &mut Layers, args: &OverArgs) -> Result<(), Failure> {
+    let Some(over) = &args.over else { return Ok(()) };
+    layers.put("--over", "over.by", args.over_by.as_str())?;
+    if over != "default" {
+        layers.add_plants(Path::new(over))?;
+    }
+    Ok(())
+}
+
+/// Whether what drives can be other plants.
+///
+/// # Errors
+/// If it is not our simulator in lockstep.
+pub(crate) fn check_plants(config: &RunConfig, launch: &Launch) -> Result<(), Failure> {
+    if launch.ring_is_ours() && !config.run.realtime {
+        return Ok(());
+    }
+    let why = "--over: plants are driven by our own simulator in lockstep; leave out --replace, --launch and --realtime";
+    Err(Failure::User(why.to_owned()))
 }

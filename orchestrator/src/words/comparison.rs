@@ -8,7 +8,10 @@ use crate::words::terminal::say;
 
 /// Prints a comparison.
 pub(crate) fn print(it: &CompareResult) -> Result<(), Failure> {
-    let noise = if it.noise { "with noise" } else { "without noise" };
+    let mut noise = if it.noise { "with noise" } else { "without noise" }.to_owned();
+    if it.plants > 1 {
+        noise += &format!(", over {} plants", it.plants);
+    }
     say!(
         "{}, {}, {}, law {}: {} trainings with each tuner, {} drives in each; in brackets 95 % intervals",
         it.maneuver,
@@ -66,9 +69,11 @@ pub(crate) fn print(it: &CompareResult) -> Result<(), Failure> {
     say!("the best set: {}; {} {:.4}", best.join(", "), it.objective, it.best_value);
     if it.noise {
         say!(
-            "a set's true value is its mean over {} drives that no tuner saw, and over 480 others if it seems nearly as good as \
+            "a set's true value is its mean over {} drives{} that no tuner saw, and over {} others if it seems nearly as good as \
              the best",
-            it.drives_of_truth
+            it.drives_of_truth,
+            if it.plants > 1 { " on each plant" } else { "" },
+            if it.plants > 1 { 16 } else { 480 },
         );
     }
     Ok(())

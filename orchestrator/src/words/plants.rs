@@ -47,9 +47,10 @@ pub(super) fn print(it: &PlantCheck, config: &RunConfig) -> Result<(), Failure> 
         _ => String::new(),
     };
     say!(
-        "on {} more plants like these, which chose nothing: {} m off the path on average at 95 % of them, {} at most; {} \
+        "on {} more plants like these, which chose nothing{}: {} m off the path on average at 95 % of them, {} at most; {} \
          beyond 1 m{missing}",
         fresh.plants,
+        if fresh.noise { ", with noise" } else { "" },
         digits(fresh.path_mean_p95_m, 4),
         digits(fresh.path_mean_max_m, 4),
         fresh.beyond_1_m,

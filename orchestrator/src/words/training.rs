@@ -59,9 +59,10 @@ pub(super) fn print(
                 format!("{objective} {}, ", digits(grid.best_value, 4))
             });
             say!(
-                "ranks among all {} sets of the grid, noise-free; its best: {of_objective}distance {}, mse {} m², {} m off \
+                "ranks among all {} sets of the grid, {}; its best: {of_objective}distance {}, mse {} m², {} m off \
                  the path",
                 grid.size,
+                config.ranked_how(),
                 digits(grid.best_distance, 4),
                 digits(grid.best_mse_m2, 4),
                 digits(grid.best_path_mean_m, 4),
@@ -204,9 +205,10 @@ fn print_choice_by_means(
 ) -> Result<(), Failure> {
     let Some(chosen) = noise.finalists.first() else { return Ok(()) };
     let objective = &config.objective.name;
+    let drives = if config.plants() > 1 { "fresh plants" } else { "drives" };
     let under_noise = if config.noise.enabled { "under noise: " } else { "" };
     say!(
-        "{under_noise}mean {objective} {} [{}, {}] over {} drives{}; it was the best of {} sets in {} drives each",
+        "{under_noise}mean {objective} {} [{}, {}] over {} {drives}{}; it was the best of {} sets in {} drives each",
         digits(chosen.mean_value, 4),
         digits(chosen.low, 4),
         digits(chosen.high, 4),
@@ -231,7 +233,7 @@ fn print_choice_by_means(
             Verdict::Undecided => "not distinguishable from",
         };
         say!(
-            "{verdict} {name}: {paired}difference {} [{}, {}] over {same}{} drives",
+            "{verdict} {name}: {paired}difference {} [{}, {}] over {same}{} {drives}",
             digits(it.difference, 4),
             digits(it.low, 4),
             digits(it.high, 4),

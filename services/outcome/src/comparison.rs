@@ -27,8 +27,11 @@ pub struct CompareResult {
     pub drives: u32,
     /// Whether the odometry was noisy.
     pub noise: bool,
-    /// A set's true value is the mean over so many drives that no tuner saw; 1 without noise. Of the sets that
-    /// seem nearly as good as the best, it is that over 480 others.
+    /// Number of plants on which each set is driven, which counts as one drive; 1 for the vehicle as its file has it.
+    #[serde(default = "one")]
+    pub plants: usize,
+    /// A set's true value is the mean over so many drives that no tuner saw, over plants so many on each; 1 without noise.
+    /// Of the sets that seem nearly as good as the best, it is that over 480 others, over plants over 16 on each.
     pub drives_of_truth: u64,
     /// Number of sets in the grid.
     pub grid_size: usize,
@@ -39,6 +42,10 @@ pub struct CompareResult {
     pub best_gains: NamedParameters,
     /// The tuners, in the order in which they were named.
     pub tuners: Vec<TunerComparison>,
+}
+
+fn one() -> usize {
+    1
 }
 
 /// How one tuner did.

@@ -103,6 +103,10 @@ pub struct Alternative {
 pub struct FreshPlants {
     /// How many.
     pub plants: usize,
+    /// Whether these drives have noise on the measured pose, another one on each plant; false in results of earlier
+    /// versions.
+    #[serde(default)]
+    pub noise: bool,
     /// The mean distance from the path that 95 % of them do not exceed.
     pub path_mean_p95_m: f64,
     /// The largest mean distance from the path.

@@ -215,7 +215,8 @@ pub struct Usage {
 /// How the set was chosen by means over several drives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NoiseChoice {
-    /// Drives of each finalist over which means, intervals and differences are taken; under noise none of them chose.
+    /// Drives of each finalist over which means, intervals and differences are taken; under noise none of them chose. In a
+    /// training over plants each is on a plant that was drawn anew.
     pub repeats: u64,
     /// Drives of each finalist by which one was chosen.
     #[serde(default)]

@@ -49,7 +49,7 @@ pub(crate) fn section(it: &PlantCheck, config: &RunConfig) -> Markup {
                 "Regret is how much more the value is than the best on that plant of the " (it.compared)
                 " nominally best sets and this one. "
             }
-            "On " (fresh.plants) " more plants like these, which chose nothing: "
+            "On " (fresh.plants) " more plants like these, which chose nothing" @if fresh.noise { ", with noise" } ": "
             (number(fresh.path_mean_p95_m, 4)) " m off the path on average at 95 % of them, "
             (number(fresh.path_mean_max_m, 4)) " m at most; " (fresh.beyond_1_m) " drives went beyond 1 m."
         }

@@ -127,7 +127,7 @@ fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
             }
             @if let Some(grid) = &train.grid {
                 li {
-                    "Ranks are among all " (integer(grid.size as u64)) " sets of the grid, noise-free; its best: "
+                    "Ranks are among all " (integer(grid.size as u64)) " sets of the grid, " (config.ranked_how()) "; its best: "
                     @if !["distance", "mse", "path"].contains(&objective) { (objective) " " (number(grid.best_value, 4)) ", " }
                     "distance " (number(grid.best_distance, 4)) ", mse " (number(grid.best_mse_m2, 4))
                     " m², mean distance from the path " (number(grid.best_path_mean_m, 3)) " m."
@@ -391,7 +391,8 @@ fn finalists(
             @if is_noisy { ", each time with the same noise for all of them" }
             ", and the set with the best mean was chosen."
             @if is_noisy {
-                " The figures below are of " (integer(noise.repeats)) " further drives of each, which chose nothing."
+                " The figures below are of " (integer(noise.repeats)) " further " @if config.plants() > 1 { "plants, drawn anew" } @else { "drives of each" }
+                ", which chose nothing."
             }
             @if has_rank { " Its rank by the mean is over " (integer(noise.holdout.into())) " other noise seeds." }
             @if is_noisy {

@@ -85,7 +85,8 @@ fn evidence(train: &TrainResult, config: &RunConfig) -> String {
     let drives = format!("{} sets that were driven{plants}", integer(train.distinct));
     let noise = match &train.noise {
         Some(noise) if config.noise.enabled => {
-            format!("; {} noisy drives that chose nothing", noise.repeats)
+            let on = if config.plants() > 1 { " on fresh plants" } else { "" };
+            format!("; {} noisy drives{on} that chose nothing", noise.repeats)
         }
         Some(noise) => format!("; {} more drives of each finalist", noise.repeats),
         None if config.noise.enabled => String::new(),
@@ -108,10 +109,10 @@ fn next(
     let of = subject(run, config);
     let values: Vec<String> = train.gains.0.iter().map(|(_, value)| value.to_string()).collect();
     let mut next = Vec::new();
-    if is_fragile && config.plants() == 1 && !config.noise.enabled && train.vehicle_drives.is_none()
-    {
+    if is_fragile && config.plants() == 1 && train.vehicle_drives.is_none() {
+        let noise = if config.noise.enabled { " --noise" } else { "" };
         next.push((
-            format!("pathtune train {of} --over default"),
+            format!("pathtune train {of} --over default{noise}"),
             "looks for a set that is not fragile",
         ));
     }

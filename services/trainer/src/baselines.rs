@@ -5,7 +5,7 @@ use outcome::{Baseline, Baselines, Measures, TradeOff, TradedSet};
 use tracking::Objective;
 
 use crate::Ranking;
-use crate::plants::PlantRollouts;
+use crate::over::PlantRollouts;
 use crate::ranking::measures_of;
 
 /// The textbook sets beside one with these measures; `None` where the paper's figures are the yardstick.
@@ -22,7 +22,7 @@ pub(crate) fn baselines(
         .textbook_sets()
         .iter()
         .map(|it| {
-            let drive = PlantRollouts::new(&it.config).drive(it.parameters, None);
+            let drive = PlantRollouts::of_ranking(&it.config).drive(it.parameters, None);
             Baseline {
                 law: it.config.law.name.clone(),
                 compensated: it.compensated,

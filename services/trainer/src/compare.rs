@@ -14,6 +14,7 @@ use outcome::{AfterDrives, CompareResult, CompareRow, DrivesTo, SCHEMA, TunerCom
 use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
+use crate::over::{PlantRollouts, Purpose};
 use crate::training::by_values;
 use crate::tuners::Ask;
 use crate::{Ranking, Training, grid_is_driven};
@@ -26,6 +27,9 @@ const DRIVES_OF_TRUTH: u64 = 32;
 const DRIVES_OF_BEST: u64 = 480;
 const NEAR_BEST: f64 = 0.15;
 const BEST: usize = 64;
+/// The same over plants, where a value is that of several drives on each: of so many, and for the sets near the best.
+const DRIVES_OF_PLANT: usize = 4;
+const DRIVES_OF_BEST_PLANT: usize = 16;
 /// The first noise seed of these drives. Those of a training are hashes, and fall in here as good as never.
 const FIRST_SEED_OF_TRUTH: u64 = 1 << 62;
 const SEEDS_OF_TRUTH: Range<u64> = FIRST_SEED_OF_TRUTH..FIRST_SEED_OF_TRUTH + DRIVES_OF_TRUTH;
@@ -112,7 +116,8 @@ pub fn compare(
         seeds,
         drives,
         noise: config.noise.enabled,
-        drives_of_truth: if config.noise.enabled { DRIVES_OF_TRUTH } else { 1 },
+        plants: config.plants(),
+        drives_of_truth: yardstick.drives_of_truth(),
         grid_size: yardstick.of_grid.len(),
         best_value,
         best_gains: config.law.named(&best),
@@ -161,10 +166,35 @@ impl Course {
     }
 }
 
+/// What drives by which true values are read.
+enum Truth {
+    /// Without noise, of the configured vehicle or over plants.
+    NoiseFree(PlantRollouts),
+    /// With noise, of the configured vehicle.
+    Noisy(Rollout),
+    /// With noise over plants: those of any set, and those of the best.
+    OverPlants(PlantRollouts, PlantRollouts),
+}
+
+impl Truth {
+    fn new(config: &RunConfig) -> Self {
+        if config.is_noisy_over_plants() {
+            let with = |purpose, repeats| PlantRollouts::with(config, purpose, repeats);
+            return Self::OverPlants(
+                with(Purpose::Telling, DRIVES_OF_PLANT),
+                with(Purpose::Choosing, DRIVES_OF_BEST_PLANT),
+            );
+        }
+        match config.noise.enabled {
+            true => Self::Noisy(Rollout::new(config)),
+            false => Self::NoiseFree(PlantRollouts::of_ranking(config)),
+        }
+    }
+}
+
 /// The true values of sets.
 struct Yardstick {
-    noise: bool,
-    rollout: Rollout,
+    truth: Truth,
     ranking: Ranking,
     objective: Objective,
     of_grid: Vec<f64>,
@@ -177,8 +207,7 @@ impl Yardstick {
     fn new(config: &RunConfig) -> Self {
         let ranking = Ranking::by_rollout(config);
         let mut it = Self {
-            noise: config.noise.enabled,
-            rollout: Rollout::new(config),
+            truth: Truth::new(config),
             objective: *ranking.objective(),
             ranking,
             of_grid: Vec::new(),
@@ -190,7 +219,7 @@ impl Yardstick {
             let value = it.measure(&grid.set(position));
             it.of_grid.push(value);
         }
-        if it.noise {
+        if it.is_noisy() {
             it.measure_best_again();
         } else {
             let all = grid.positions().map(|it| grid.set(it));
@@ -211,16 +240,31 @@ impl Yardstick {
         for index in order {
             let grid = self.ranking.grid();
             let set = grid.set(grid.position(index));
-            let value = self.mean_over(&set, SEEDS_OF_BEST);
+            let value = self.measure_closely(&set);
             self.of_grid[index] = value;
             self.take_best(value, &set);
         }
     }
 
-    fn mean_over(&mut self, set: &Parameters, seeds: Range<u64>) -> f64 {
-        let count = (seeds.end - seeds.start) as f64;
-        let values = seeds.map(|seed| self.objective.of(&self.rollout.drive(*set, Some(seed))));
-        values.sum::<f64>() / count
+    fn is_noisy(&self) -> bool {
+        !matches!(self.truth, Truth::NoiseFree(_))
+    }
+
+    fn drives_of_truth(&self) -> u64 {
+        match self.truth {
+            Truth::NoiseFree(_) => 1,
+            Truth::Noisy(_) => DRIVES_OF_TRUTH,
+            Truth::OverPlants(..) => DRIVES_OF_PLANT as u64,
+        }
+    }
+
+    /// Reads the true value of a set that is near the best.
+    fn measure_closely(&mut self, set: &Parameters) -> f64 {
+        match &mut self.truth {
+            Truth::NoiseFree(_) => self.measure(set),
+            Truth::Noisy(rollout) => mean_over(rollout, &self.objective, set, SEEDS_OF_BEST),
+            Truth::OverPlants(_, best) => self.objective.of(&best.drive(*set, None)),
+        }
     }
 
     /// The value of the worst set among the best 1 % of the grid.
@@ -238,11 +282,14 @@ impl Yardstick {
 
     /// Reads the true value of a set.
     fn measure(&mut self, set: &Parameters) -> f64 {
-        if self.noise {
-            return self.mean_over(set, SEEDS_OF_TRUTH);
+        match &mut self.truth {
+            Truth::NoiseFree(_) => {
+                let drive = self.noise_free(set);
+                self.objective.of(&drive)
+            }
+            Truth::Noisy(rollout) => mean_over(rollout, &self.objective, set, SEEDS_OF_TRUTH),
+            Truth::OverPlants(any, _) => self.objective.of(&any.drive(*set, None)),
         }
-        let drive = self.noise_free(set);
-        self.objective.of(&drive)
     }
 
     fn take_best(&mut self, value: f64, set: &Parameters) {
@@ -252,9 +299,11 @@ impl Yardstick {
     }
 
     fn noise_free(&mut self, set: &Parameters) -> DriveRecord {
-        match self.place_of(set) {
-            Some(_) => self.ranking.drive(set),
-            None => self.rollout.drive(*set, None),
+        match &mut self.truth {
+            Truth::NoiseFree(rollouts) if self.ranking.is_off_grid(set) => {
+                rollouts.drive(*set, None)
+            }
+            _ => self.ranking.drive(set),
         }
     }
 
@@ -266,25 +315,29 @@ impl Yardstick {
             return *value;
         }
         let mut value = self.measure(set);
-        if self.noise && value <= (1.0 + NEAR_BEST) * self.best.0 {
-            value = self.mean_over(set, SEEDS_OF_BEST);
+        if self.is_noisy() && value <= (1.0 + NEAR_BEST) * self.best.0 {
+            value = self.measure_closely(set);
         }
         self.take_best(value, set);
         self.others.insert(set.to_bits(), value);
         value
     }
 
-    fn drive(&mut self, ask: &Ask) -> DriveRecord {
-        if self.noise {
-            return self.rollout.drive(ask.parameters, Some(ask.seed));
+    /// A drive that a training asks for; over plants with noise, by `over_plants`.
+    fn drive(&mut self, ask: &Ask, over_plants: Option<&mut PlantRollouts>) -> DriveRecord {
+        match (&mut self.truth, over_plants) {
+            (_, Some(over_plants)) => over_plants.drive(ask.parameters, None),
+            (Truth::Noisy(rollout), None) => rollout.drive(ask.parameters, Some(ask.seed)),
+            (_, None) => self.noise_free(&ask.parameters),
         }
-        self.noise_free(&ask.parameters)
     }
 
     /// One training, until it ends or its budget does.
     fn train(&mut self, config: &RunConfig, drives: usize, marks: &[u32]) -> Course {
         let mut training = Training::new(config, self.objective);
         while training.prepare().expect("some set may be driven") < 1.0 {}
+        // The noise over plants is that of the training's own seed.
+        let mut own = config.is_noisy_over_plants().then(|| PlantRollouts::new(config));
         let mut course = Course { driven: Vec::new(), recommended: Vec::new() };
         'drives: loop {
             training.remember(usize::MAX, |_| {});
@@ -296,7 +349,7 @@ impl Yardstick {
                 if course.driven.len() == drives {
                     break 'drives;
                 }
-                let drive = self.drive(&ask);
+                let drive = self.drive(&ask, own.as_mut());
                 training.take(ask.learner, ask.step, drive);
                 course.driven.push(self.truth(&ask.parameters));
                 if marks.get(course.recommended.len()) == Some(&(course.driven.len() as u32)) {
@@ -311,6 +364,18 @@ impl Yardstick {
         course.recommended.resize(marks.len(), value);
         course
     }
+}
+
+/// The mean value of a set over drives with these noise seeds.
+fn mean_over(
+    rollout: &mut Rollout,
+    objective: &Objective,
+    set: &Parameters,
+    seeds: Range<u64>,
+) -> f64 {
+    let count = (seeds.end - seeds.start) as f64;
+    let values = seeds.map(|seed| objective.of(&rollout.drive(*set, Some(seed))));
+    values.sum::<f64>() / count
 }
 
 #[cfg(test)]

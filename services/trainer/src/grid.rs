@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use config::{ConfigError, Parameters, RunConfig, SweepPlan};
+use config::{ConfigError, OverBy, Parameters, RunConfig, SweepPlan};
 use outcome::{
     Flatness, GridResult, MainEffect, Measures, NamedSet, PlantCheck, RankedSet, ValueMean,
 };
@@ -13,6 +13,7 @@ use tracking::DriveRecord;
 
 use crate::Ranking;
 use crate::digest::digest_of_drives;
+use crate::over::{Judge, Purpose};
 use crate::plants::{ALTERNATIVES, check};
 use crate::result::on_bound;
 use crate::statistics::mean;
@@ -58,15 +59,24 @@ impl GridSweep {
         })
     }
 
-    /// The drives: every set of the grid in its order, then the named ones.
+    /// The drives: every set of the grid in its order, then the named ones; over plants, plant by plant for each of them.
     pub fn drives(&self) -> Vec<PlannedDrive> {
         let grid = self.config.grid();
         let of_grid = grid.positions().map(|position| grid.set(position));
         let named = self.named.iter().map(|(_, set)| *set);
-        of_grid
-            .chain(named)
-            .map(|set| PlannedDrive { by_zone: vec![set], seed: None, record: None })
-            .collect()
+        of_grid.chain(named).flat_map(|set| self.drives_of(set)).collect()
+    }
+
+    /// The drives of one set.
+    fn drives_of(&self, set: Parameters) -> impl Iterator<Item = PlannedDrive> {
+        let config = &self.config;
+        let (of_plant, is_nominal) = (config.drives_of_plant(), config.over.by == OverBy::Nominal);
+        (0..config.drives_of_step()).map(move |drive| PlannedDrive {
+            by_zone: vec![set],
+            seed: config.is_noisy_over_plants().then(|| Purpose::Training.seed(config, drive)),
+            plant: if is_nominal { 0 } else { (drive / of_plant) as u32 + 1 },
+            record: None,
+        })
     }
 
     /// The result of [`GridSweep::drives`], as far as they were made; writes `grid.csv` into the run's folder.
@@ -74,10 +84,17 @@ impl GridSweep {
     /// # Errors
     /// If that file cannot be written.
     pub fn finish(&self, folder: &Path, driven: &[Option<Driven>]) -> Result<GridResult> {
-        let (of_grid, of_named) = driven.split_at(self.config.grid().len());
-        let records: Vec<Option<DriveRecord>> =
-            of_grid.iter().map(|driven| driven.map(|driven| driven.record)).collect();
-        let ranking = Ranking::of_some(&self.config, &records);
+        let judge = Judge::new(&self.config);
+        // A set counts once all of its drives were made.
+        let together = |drives: &[Option<Driven>]| {
+            let all: Option<Vec<DriveRecord>> =
+                drives.iter().map(|it| it.as_ref().map(|it| it.record)).collect();
+            all.map(|all| judge.together(&all))
+        };
+        let of_sets: Vec<Option<DriveRecord>> =
+            driven.chunks(self.config.drives_of_step()).map(together).collect();
+        let (records, of_named) = of_sets.split_at(self.config.grid().len());
+        let ranking = Ranking::of_some(&self.config, records);
         let size = records.iter().flatten().count();
         let path = folder.join(GRID_FILE);
         self.write(&path, &ranking).with_context(|| format!("failed to write {path:?}"))?;
@@ -97,8 +114,8 @@ impl GridSweep {
                 .named
                 .iter()
                 .zip(of_named)
-                .filter_map(|((name, set), driven)| {
-                    let set = self.ranked(&ranking, set, &driven.as_ref()?.record);
+                .filter_map(|((name, set), drive)| {
+                    let set = self.ranked(&ranking, set, drive.as_ref()?);
                     Some(NamedSet { name: (*name).to_owned(), set })
                 })
                 .collect(),

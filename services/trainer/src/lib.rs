@@ -17,6 +17,7 @@ mod digest;
 mod grid;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod journal;
+mod over;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 mod own_drives;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]

@@ -80,7 +80,7 @@ impl OwnDrives {
         sets.dedup();
         let missing = |set: Parameters| {
             let count = (repeats as usize).saturating_sub(self.of(&set).len());
-            let drive = PlannedDrive { by_zone: vec![set], seed: None, record: None };
+            let drive = PlannedDrive { by_zone: vec![set], seed: None, plant: 0, record: None };
             std::iter::repeat_n(drive, count)
         };
         sets.into_iter().flat_map(missing).collect()

@@ -1,76 +1,12 @@
-//! Drives over several plants: how they are judged together, and whether a set is fragile.
+//! What a set does on plants: whether it is fragile, and how far from the path it is on fresh ones.
 
 use config::{OverBy, Parameters, PlantChange, RunConfig};
 use outcome::{Alternative, FreshPlants, Margin, PlantCheck, PlantDrive};
 use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
+use crate::over::{Purpose, on_plant};
 use crate::rng::Stream;
-
-/// Drives of a set by plain calls: of the configured vehicle, or over the plants of the configuration.
-#[derive(Debug)]
-pub(crate) struct PlantRollouts {
-    rollouts: Vec<Rollout>,
-    judge: Judge,
-}
-
-impl PlantRollouts {
-    pub(crate) fn new(config: &RunConfig) -> Self {
-        let rollouts = match config.over.by {
-            OverBy::Nominal => vec![Rollout::new(config)],
-            _ => config.plant_changes().iter().map(|it| on_plant(config, it)).collect(),
-        };
-        Self { rollouts, judge: Judge::new(config) }
-    }
-
-    /// The drive with a set; over plants, what the drives come to together.
-    pub(crate) fn drive(&mut self, parameters: Parameters, noise_seed: Option<u64>) -> DriveRecord {
-        match &mut self.rollouts[..] {
-            [nominal] => nominal.drive(parameters, noise_seed),
-            all => {
-                let drives: Vec<DriveRecord> =
-                    all.iter_mut().map(|it| it.drive(parameters, noise_seed)).collect();
-                self.judge.together(&drives)
-            }
-        }
-    }
-}
-
-/// The loop around a plant: what drives it believes in the vehicle's file.
-pub(crate) fn on_plant(config: &RunConfig, change: &PlantChange) -> Rollout {
-    Rollout::on_plant(&config.driving_plant(change), &config.with_plant(change))
-}
-
-/// How the drives of a set on several plants become one.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Judge {
-    by: OverBy,
-    objective: Objective,
-}
-
-impl Judge {
-    pub(crate) fn new(config: &RunConfig) -> Self {
-        Self { by: config.over.by, objective: Objective::new(config) }
-    }
-
-    /// One record of drives with the same set, plant by plant in their order.
-    ///
-    /// # Panics
-    /// If there is no drive.
-    pub(crate) fn together(&self, drives: &[DriveRecord]) -> DriveRecord {
-        let share = match self.by {
-            OverBy::Nominal => return drives[0],
-            OverBy::Mean => return DriveRecord::mean_of(drives),
-            OverBy::P90 => 0.9,
-            OverBy::Worst => 1.0,
-        };
-        let mut order: Vec<(f64, usize)> =
-            drives.iter().enumerate().map(|(at, it)| (self.objective.of(it), at)).collect();
-        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let rank = libm::ceil(share * drives.len() as f64) as usize;
-        drives[order[rank.max(1) - 1].1]
-    }
-}
 
 /// The part of a mean distance from the path, for a car of full size, below which no set is fragile.
 const FLOOR_M: f64 = 0.1;
@@ -188,17 +124,29 @@ fn why_fragile(
     })
 }
 
-/// The set on plants whose values are drawn anew, each key between the least and the largest change of it.
-fn fresh(config: &RunConfig, changes: &[PlantChange], set: &Parameters) -> FreshPlants {
+/// Plants whose values are drawn anew, each key between the least and the largest change of it.
+pub(crate) fn fresh_plants<'a>(
+    config: &RunConfig,
+    changes: &'a [PlantChange],
+) -> impl Iterator<Item = PlantChange> + 'a {
     let mut random = Stream::new(config.run.seed, FRESH_STREAM);
-    let mut drives: Vec<DriveRecord> = (0..FRESH)
-        .map(|_| on_plant(config, &drawn(changes, &mut random)).drive(*set, None))
+    std::iter::repeat_with(move || drawn(changes, &mut random))
+}
+
+/// The set on plants that are drawn anew; with noise, if the configuration has it.
+fn fresh(config: &RunConfig, changes: &[PlantChange], set: &Parameters) -> FreshPlants {
+    let noise = |plant: usize| config.noise.enabled.then(|| Purpose::Telling.seed(config, plant));
+    let mut drives: Vec<DriveRecord> = fresh_plants(config, changes)
+        .take(FRESH)
+        .enumerate()
+        .map(|(plant, change)| on_plant(config, &change).drive(*set, noise(plant)))
         .collect();
     drives.sort_by(|a, b| a.path_mean_m.total_cmp(&b.path_mean_m));
     // The value that 95 % of the plants do not exceed.
     let p95 = libm::ceil(0.95 * FRESH as f64) as usize - 1;
     FreshPlants {
         plants: FRESH,
+        noise: config.noise.enabled,
         path_mean_p95_m: drives[p95].path_mean_m,
         path_mean_max_m: drives[FRESH - 1].path_mean_m,
         path_max_m: drives.iter().map(|it| it.path_max_m).fold(0.0, f64::max),

@@ -6,8 +6,8 @@ use config::{Grid, Parameters, RunConfig};
 use outcome::{Measures, Spread};
 use tracking::{DriveRecord, Objective};
 
+use crate::over::PlantRollouts;
 use crate::own_drives::{OwnDrives, mean_of, spread_of};
-use crate::plants::PlantRollouts;
 use crate::training::by_values;
 
 /// Whether the whole grid of a configuration is driven: it must take at most `ranking.max_ticks` ticks. The limit is a
@@ -23,7 +23,8 @@ pub fn objective_of(config: &RunConfig) -> Objective {
     if objective.needs_grid() { *Ranking::by_rollout(config).objective() } else { objective }
 }
 
-/// The noise-free drives of every set of the grid, if the grid is driven; and the objective.
+/// The drives of every set of the grid, if the grid is driven; and the objective. They are noise-free, but over plants with
+/// noise where a training has both: there the noise is the same for all sets, and none that the training has seen.
 #[derive(Debug, Clone)]
 pub struct Ranking {
     config: RunConfig,
@@ -51,7 +52,7 @@ impl Ranking {
     pub fn by_rollout(config: &RunConfig) -> Self {
         let grid = config.grid();
         let drives = if grid_is_driven(config) {
-            let mut rollout = PlantRollouts::new(config);
+            let mut rollout = PlantRollouts::of_ranking(config);
             grid.positions().map(|position| rollout.drive(grid.set(position), None)).collect()
         } else {
             Vec::new()
@@ -125,7 +126,7 @@ impl Ranking {
         self.index_of(parameters).is_none()
     }
 
-    /// The noise-free drive of a set; it is computed now if it was not driven before.
+    /// The drive of a set; it is computed now if it was not driven before.
     ///
     /// # Panics
     /// If the drives are those of a vehicle that is not our simulator, and it has not driven this set.
@@ -133,7 +134,7 @@ impl Ranking {
         let of_grid = self.index_of(parameters).and_then(|index| self.drives.get(index));
         of_grid.copied().unwrap_or_else(|| match &self.own {
             Some(own) => own.of(parameters)[0],
-            None => PlantRollouts::new(&self.config).drive(*parameters, None),
+            None => PlantRollouts::of_ranking(&self.config).drive(*parameters, None),
         })
     }
 

@@ -5,6 +5,8 @@
 //! was chosen for being the best is too good. Under noise, therefore, what is told of the sets comes from further drives,
 //! which chose nothing: means, intervals, and the differences between drives with the same seed.
 
+mod over_plants;
+
 use config::{Parameters, RunConfig};
 use outcome::{Comparison, Finalist, NoiseChoice};
 use rollout::Rollout;
@@ -72,6 +74,7 @@ impl Finalists {
             (0..self.repeats + self.fresh).map(move |drive| PlannedDrive {
                 by_zone: by_zone.clone(),
                 seed: self.noise.then(|| drive_seed(self.seed, FINALISTS, drive as u32)),
+                plant: 0,
                 record: None,
             })
         };
@@ -89,13 +92,24 @@ impl Finalists {
             .chunks((self.repeats + self.fresh) as usize)
             .map(|drives| drives.iter().map(|drive| objective.of(drive)).collect())
             .collect();
-        let choosing = |index: usize| &all[index][..self.repeats as usize];
+        let costs: Vec<f64> = all.iter().map(|it| mean(&it[..self.repeats as usize])).collect();
         // Those that tell: all of them, if no others follow.
         let told = if self.fresh > 0 { self.repeats as usize } else { 0 };
         let values: Vec<&[f64]> = all.iter().map(|it| &it[told..]).collect();
+        self.chosen(config, &costs, &values, self.repeats)
+    }
+
+    /// The set with the least cost, and what the values of drives that may have chosen nothing tell of all of them.
+    fn chosen(
+        &self,
+        config: &RunConfig,
+        costs: &[f64],
+        values: &[&[f64]],
+        choosing: u64,
+    ) -> Choice {
         // Only sets that the training has visited may be chosen; the others are there for comparison.
         let mut order: Vec<usize> = (0..self.sets.len()).collect();
-        let cost = |index: usize| (self.sets[index].visits == 0, mean(choosing(index)));
+        let cost = |index: usize| (self.sets[index].visits == 0, costs[index]);
         order.sort_by(|a, b| {
             let (a, b) = (cost(*a), cost(*b));
             a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
@@ -114,7 +128,7 @@ impl Finalists {
         };
         let by_means = NoiseChoice {
             repeats: values[chosen].len() as u64,
-            choosing: self.repeats,
+            choosing,
             holdout: config.robust.holdout,
             finalists: order
                 .iter()

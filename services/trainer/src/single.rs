@@ -44,6 +44,7 @@ impl SingleDrive {
                 sets => self.config.sets_by_zone(sets),
             },
             seed: noise.then_some(self.config.run.seed),
+            plant: 0,
             record: Some("drive".to_owned()),
         }]
     }

@@ -12,6 +12,8 @@ pub struct PlannedDrive {
     pub by_zone: Vec<Parameters>,
     /// Seed of the noise; `None` for a drive without noise.
     pub seed: Option<u64>,
+    /// Which plant is driven: 0 for the configured vehicle, n for the n-th of the configuration.
+    pub plant: u32,
     /// The name, without extension, of the file for its recording; `None` for a drive that is not recorded.
     pub record: Option<String>,
 }
@@ -57,7 +59,7 @@ impl Sweep {
             flags: flag(drive.seed.is_some(), DriveRequest::NOISE)
                 | flag(drive.by_zone.len() > 1, DriveRequest::SCHEDULED)
                 | flag(drive.record.is_some(), DriveRequest::RECORDED),
-            plant: 0,
+            plant: drive.plant,
         }
     }
 
@@ -126,15 +128,19 @@ mod tests {
     #[test]
     fn every_drive_is_asked_for_until_it_is_reported() {
         let set = Parameters::of(&[1.0, 2.0, 3.0, 0.5]);
-        let plain = PlannedDrive { by_zone: vec![set], seed: None, record: None };
-        let rich =
-            PlannedDrive { by_zone: vec![set; 3], seed: Some(4), record: Some("rich".to_owned()) };
+        let plain = PlannedDrive { by_zone: vec![set], seed: None, plant: 0, record: None };
+        let rich = PlannedDrive {
+            by_zone: vec![set; 3],
+            seed: Some(4),
+            plant: 3,
+            record: Some("rich".to_owned()),
+        };
         let mut sweep = Sweep::new(5, 2, 100, vec![plain, rich]);
         let wanted = sweep.wanted(9);
         assert_eq!(wanted.iter().map(|it| it.learner).collect::<Vec<_>>(), [5, 6]);
         assert_eq!((wanted[0].flags, wanted[0].seed), (0, 0));
         let all = DriveRequest::NOISE | DriveRequest::SCHEDULED | DriveRequest::RECORDED;
-        assert_eq!((wanted[1].flags, wanted[1].seed), (all, 4));
+        assert_eq!((wanted[1].flags, wanted[1].seed, wanted[1].plant), (all, 4, 3));
         assert_eq!(sweep.wanted(1).len(), 1);
 
         let report = |learner, step| DriveReport { learner, step, ..DriveReport::default() };

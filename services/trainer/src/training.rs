@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use tracking::{DriveRecord, Objective};
 
 use crate::digest::Received;
-use crate::plants::PlantRollouts;
+use crate::over::PlantRollouts;
 use crate::tuners::{Ask, Told, Tuner, tuner};
 
 /// A drive that a learner took.
@@ -43,9 +43,9 @@ pub struct Training {
     law: LawConfig,
     tuner: Box<dyn Tuner>,
     objective: Objective,
+    /// Whether no two drives are the same.
     noise: bool,
-    /// The drives that were made, by their set; `None` if none is remembered. Under noise no two drives are the same,
-    /// and none is remembered either.
+    /// The drives that were made, by their set; `None` if none is remembered. If no two drives are the same, none is.
     memory: Option<HashMap<[u64; MAX_PARAMETERS], DriveRecord>>,
     /// What each learner has received.
     received: Vec<Received>,
@@ -75,8 +75,8 @@ impl Training {
             received: vec![Received::default(); tuner.learners() as usize],
             tuner,
             objective,
-            noise: config.noise.enabled,
-            memory: (config.run.memo && !config.noise.enabled).then(HashMap::new),
+            noise: config.steps_differ(),
+            memory: (config.run.memo && !config.steps_differ()).then(HashMap::new),
             visited: HashMap::new(),
         }
     }
@@ -263,7 +263,7 @@ impl Training {
         sets
     }
 
-    /// The number of different drives among them: those that memory would not answer. Under noise no two are the same.
+    /// The number of different drives among them: those that memory would not answer.
     pub fn distinct_drives(&self) -> u64 {
         if self.noise { self.asked_drives() } else { self.visited.len() as u64 }
     }
@@ -300,7 +300,7 @@ pub fn train_offline(
 pub fn train_by_rollout(config: &RunConfig) -> Training {
     let mut rollout = PlantRollouts::new(config);
     train_offline(config, crate::objective_of(config), |ask| {
-        let noise = config.noise.enabled.then_some(ask.seed);
+        let noise = config.steps_differ().then_some(ask.seed);
         rollout.drive(ask.parameters, noise)
     })
 }

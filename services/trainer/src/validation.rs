@@ -57,6 +57,7 @@ impl Validation {
                 drives.push(PlannedDrive {
                     by_zone: by_zone.clone(),
                     seed,
+                    plant: 0,
                     record: record.filter(|_| index == shown),
                 });
             }

@@ -40,7 +40,7 @@ impl Space {
         Self {
             cube: Cube::new(config),
             rng: Stream::new(config.run.seed, 0),
-            noise: config.noise.enabled,
+            noise: config.steps_differ(),
             known: Vec::new(),
             numbers: HashMap::new(),
         }

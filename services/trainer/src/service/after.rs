@@ -51,6 +51,9 @@ impl Trainer {
         if let Some(driven) = self.training.tuner().driven() {
             return self.rank_few(driven);
         }
+        if self.config.is_noisy_over_plants() {
+            return self.rank(None);
+        }
         if self.config.noise.enabled && self.is_few() && self.driver == Driver::Simulator {
             let set = recommended(&self.training);
             if self.training.tuner().predicted(&set).is_some() {
@@ -218,6 +221,11 @@ impl Trainer {
                 let (objective, set) = (training.objective(), &choice.parameters);
                 choice.rank_mean = Some(rank_mean(&config, objective, set, progress));
             }
+            if config.is_noisy_over_plants() {
+                let finalists = Finalists::new(&config, &training);
+                choice =
+                    Some(finalists.choose_over_plants(&config, training.objective(), progress));
+            }
             let ranking = Ranking::by_rollout(&config);
             let recommend = || training.tuner().recommend(&|a, b| ranking.compare(a, b));
             let choice = choice.unwrap_or_else(|| Choice::recommended(recommend()));
@@ -270,6 +278,7 @@ impl Trainer {
             .map(|(name, seed)| PlannedDrive {
                 by_zone: vec![parameters],
                 seed,
+                plant: 0,
                 record: Some(name.to_owned()),
             })
             .to_vec();

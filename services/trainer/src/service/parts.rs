@@ -1,6 +1,6 @@
 //! The drives of a step over several plants: asked for one by one, and one drive for the learner once all have come.
 //!
-//! To the rest of the pipeline each (learner, plant) is a learner of its own. The journal holds only what the drives came to
+//! To the rest of the pipeline each (learner, plant, drive on it) is a learner of its own. The journal holds only what the drives came to
 //! together. After a restart all of them are asked for again; the orchestrator sends those that were made once more.
 
 use std::collections::HashMap;
@@ -9,23 +9,31 @@ use config::{OverBy, RunConfig};
 use ipc_types::DriveReport;
 use tracking::DriveRecord;
 
-use crate::plants::Judge;
+use crate::over::{Judge, Purpose};
 use crate::tuners::Ask;
 
 pub(super) struct Parts {
-    plants: u32,
+    /// With noise, there are several drives on each plant.
+    of_plant: u32,
+    /// The seeds of a step's drives, plant by plant: the same for all sets.
+    seeds: Vec<u64>,
     /// The configured vehicle alone; a single plant is another one.
     is_nominal: bool,
     judge: Judge,
-    /// By learner and step: the drives of that step, by plant.
+    /// By learner and step: the drives of that step, plant by plant.
     come: HashMap<(u32, u32), Vec<Option<DriveRecord>>>,
 }
 
 impl Parts {
     pub(super) fn new(config: &RunConfig) -> Self {
-        let (plants, judge) = (config.plants() as u32, Judge::new(config));
-        let is_nominal = config.over.by == OverBy::Nominal;
-        Self { plants, is_nominal, judge, come: HashMap::new() }
+        let seeds = 0..config.drives_of_step();
+        Self {
+            of_plant: config.drives_of_plant() as u32,
+            seeds: seeds.map(|drive| Purpose::Training.seed(config, drive)).collect(),
+            is_nominal: config.over.by == OverBy::Nominal,
+            judge: Judge::new(config),
+            come: HashMap::new(),
+        }
     }
 
     /// The drives that these asks still need: each with the number of its learner in the pipeline, and its plant, which is 0
@@ -34,15 +42,20 @@ impl Parts {
         if self.is_nominal {
             return wanted.iter().map(|ask| (*ask, ask.learner, 0)).collect();
         }
-        let has_come = |ask: &Ask, plant: u32| {
+        let has_come = |ask: &Ask, drive: usize| {
             let come = self.come.get(&(ask.learner, ask.step));
-            come.is_some_and(|come| come[plant as usize].is_some())
+            come.is_some_and(|come| come[drive].is_some())
+        };
+        let of_step = self.seeds.len() as u32;
+        let part = |ask: &Ask, drive: u32| {
+            let learner = ask.learner * of_step + drive;
+            (Ask { seed: self.seeds[drive as usize], ..*ask }, learner, drive / self.of_plant + 1)
         };
         wanted
             .iter()
-            .flat_map(|ask| (0..self.plants).map(move |plant| (*ask, plant)))
-            .filter(|(ask, plant)| !has_come(ask, *plant))
-            .map(|(ask, plant)| (ask, ask.learner * self.plants + plant, plant + 1))
+            .flat_map(|ask| (0..of_step).map(move |drive| (ask, drive)))
+            .filter(|(ask, drive)| !has_come(ask, *drive as usize))
+            .map(|(ask, drive)| part(ask, drive))
             .collect()
     }
 
@@ -57,15 +70,16 @@ impl Parts {
         if self.is_nominal {
             return Some((report.learner, drive));
         }
-        let (learner, plant) = (report.learner / self.plants, report.learner % self.plants);
+        let of_step = self.seeds.len();
+        let (learner, part) = (report.learner / of_step as u32, report.learner as usize % of_step);
         if !wanted.iter().any(|ask| (ask.learner, ask.step) == (learner, report.step)) {
             return Some((learner, drive));
         }
         // What was asked for before the last step is over.
         self.come.retain(|of, _| wanted.iter().any(|ask| (ask.learner, ask.step) == *of));
         let key = (learner, report.step);
-        let come = self.come.entry(key).or_insert_with(|| vec![None; self.plants as usize]);
-        come[plant as usize] = Some(drive);
+        let come = self.come.entry(key).or_insert_with(|| vec![None; of_step]);
+        come[part] = Some(drive);
         let all: Option<Vec<DriveRecord>> = come.iter().copied().collect();
         let together = self.judge.together(&all?);
         self.come.remove(&key);

@@ -6,7 +6,8 @@ use tracking::Objective;
 
 use super::log_value;
 use crate::objective_of;
-use crate::plants::{drawn, on_plant};
+use crate::over::on_plant;
+use crate::plants::drawn;
 use crate::rng::{Stream, drive_seed};
 use crate::search::{Cube, Point, Sobol};
 

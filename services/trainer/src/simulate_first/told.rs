@@ -8,7 +8,7 @@ use tracking::{DriveRecord, Objective};
 
 use super::ensemble::plants;
 use super::{Belief, Ensemble, Reading, log_value};
-use crate::plants::on_plant;
+use crate::over::{Purpose, on_plant};
 use crate::statistics::clopper_pearson;
 
 /// Plants drawn anew, and the sets that are best in belief among which the best one on each of them is looked for.
@@ -113,9 +113,11 @@ fn fresh(
     let (mut beyond, mut not_arrived) = (0, 0);
     let (mut metres, mut shares, mut means) = (Vec::new(), Vec::new(), Vec::new());
     let mut worst_m: f64 = 0.0;
-    for change in &changes {
+    for (plant, change) in changes.iter().enumerate() {
         let mut rollout = on_plant(config, change);
-        let mut drive = |set: Parameters| rollout.drive(set, None);
+        // The same noise for all sets.
+        let noise = config.noise.enabled.then(|| Purpose::Telling.seed(config, plant));
+        let mut drive = |set: Parameters| rollout.drive(set, noise);
         let own = drive(candidates[chosen].set);
         let others: Vec<DriveRecord> = order.iter().map(|it| drive(candidates[*it].set)).collect();
         let value = objective.of(&own);
