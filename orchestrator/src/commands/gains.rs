@@ -326,7 +326,7 @@ struct Trained {
     parameters: NamedParameters,
     provenance: Provenance,
     config: RunConfig,
-    /// The highest speed of its drive, if that is known.
+    /// The highest speed that its drive holds, if that is known.
     fastest_mps: Option<f64>,
     on_bound: Vec<String>,
     /// Why its gains are fragile, if they are.

@@ -38,7 +38,7 @@ impl PlantCheck {
 }
 
 /// How much later than the vehicle's file says the steering may act until the loop oscillates: the additional dead time Δ,
-/// at the highest speed of the drive without noise.
+/// at the highest speed that the drive without noise holds for a second.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Margin {
     /// That speed.

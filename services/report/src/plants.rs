@@ -67,7 +67,7 @@ fn late(it: &Margin) -> String {
     match (it.additional_dead_time_s, &it.unknown) {
         (_, Some(why)) => format!("Additional dead time: {why}."),
         (Some(margin_s), None) => format!(
-            "Additional dead time Δ at {:.2} m/s, the highest speed of the drive: {:.0} ms; below {:.0} ms a set is fragile.",
+            "Additional dead time Δ at {:.2} m/s, the highest speed that the drive holds for a second: {:.0} ms; below {:.0} ms a set is fragile.",
             it.speed_mps,
             1000.0 * margin_s,
             1000.0 * it.fragile_below_s

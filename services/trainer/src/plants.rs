@@ -16,6 +16,8 @@ const FULL_SIZE_M: f64 = 2.875;
 const FRAGILE_FROM: f64 = 2.0;
 /// Among how many of the nominally best sets a robust one is looked for.
 pub(crate) const ALTERNATIVES: usize = 20;
+/// How long a speed is held that counts for the additional dead time.
+const HELD_S: f64 = 1.0;
 /// Plants drawn anew, which neither chose a set nor told whether it is fragile.
 const FRESH: usize = 48;
 /// The random stream of the fresh plants.
@@ -46,11 +48,11 @@ pub(crate) fn check(
     let others: Vec<(Parameters, Vec<f64>)> =
         near.iter().filter(|it| *it != set).map(|it| (*it, values_of(&drive_all(it)))).collect();
     let values = values_of(&chosen);
-    let mut fastest_mps = 0.0_f64;
+    let mut speeds = Vec::new();
     let plain = Rollout::new(&nominal).drive_with(*set, None, |_, tick| {
-        fastest_mps = fastest_mps.max(tick.observation.speed_mps);
+        speeds.push(tick.observation.speed_mps);
     });
-    let margin = margin(config, set, fastest_mps);
+    let margin = margin(config, set, held_speed_mps(&speeds, config.drive.tick_s, HELD_S));
     let plants: Vec<PlantDrive> = changes
         .iter()
         .zip(&chosen)
@@ -93,6 +95,28 @@ pub(crate) fn check(
         alternative,
         plants,
     }
+}
+
+/// The highest speed that is held for so long, of one speed a tick: an oscillation needs some time to grow, and a car that
+/// catches up from rest is fast for a moment only. A shorter drive holds its least speed.
+fn held_speed_mps(speeds: &[f64], tick_s: f64, held_s: f64) -> f64 {
+    let ticks = (libm::round(held_s / tick_s) as usize).clamp(1, speeds.len().max(1));
+    // The least speed of each stretch of so many ticks, by the places of those that may still become one.
+    let mut least: std::collections::VecDeque<usize> = std::collections::VecDeque::new();
+    let mut highest = 0.0_f64;
+    for (tick, speed) in speeds.iter().enumerate() {
+        while least.back().is_some_and(|it| speeds[*it] >= *speed) {
+            least.pop_back();
+        }
+        least.push_back(tick);
+        if least[0] + ticks <= tick {
+            least.pop_front();
+        }
+        if tick + 1 >= ticks {
+            highest = highest.max(speeds[least[0]]);
+        }
+    }
+    highest
 }
 
 /// How much later the steering may act at a speed, with the vehicle as its file has it.
@@ -175,3 +199,7 @@ pub(crate) fn drawn(changes: &[PlantChange], random: &mut Stream) -> PlantChange
     drawn.scale = draw(|it| &it.scale, 1.0);
     drawn
 }
+
+#[cfg(test)]
+#[path = "plants_tests.rs"]
+mod tests;

@@ -1,0 +1,101 @@
+use config::{Layers, Parameters, RunConfig};
+use rollout::Rollout;
+
+use super::{HELD_S, held_speed_mps, margin};
+
+#[test]
+fn a_speed_counts_that_is_held_and_not_the_peak_of_a_moment() {
+    let mut speeds = vec![0.0; 100];
+    speeds.extend(vec![4.0; 50]);
+    speeds.extend(vec![1.2; 250]);
+    speeds.extend(vec![1.5; 220]);
+    assert_eq!(held_speed_mps(&speeds, 0.01, 0.5), 4.0);
+    assert_eq!(held_speed_mps(&speeds, 0.01, 1.0), 1.5);
+    assert_eq!(held_speed_mps(&speeds, 0.01, 2.5), 1.2);
+    // A drive that is shorter than that holds its least speed.
+    assert_eq!(held_speed_mps(&speeds, 0.01, 60.0), 0.0);
+    assert_eq!(held_speed_mps(&[], 0.01, 1.0), 0.0);
+}
+
+/// Of the drives of some sets with noise, how many are bad, and how many are found fragile at the speed held for a while.
+#[derive(Debug, Default, Clone, Copy)]
+struct Found {
+    bad: u32,
+    good: u32,
+    bad_found: u32,
+    good_flagged: u32,
+}
+
+/// A car catches up from rest, much faster than its path says, and then drives steadily.
+fn steady_drive(maneuver: &str, speed_mps: f64, delay_s: f64, lag_s: f64) -> RunConfig {
+    let mut layers = Layers::maneuver(maneuver).unwrap();
+    let pieces = match maneuver {
+        "roundabout" => {
+            "[{kind='straight',length_m=4.0},{kind='arc',radius_m=18.0,angle_deg=350.0},{kind='straight',length_m=100.0}]"
+        }
+        _ => {
+            "[{kind='straight',length_m=5.0},{kind='cosine',length_m=18.0,offset_m=-3.5},{kind='straight',length_m=180.0}]"
+        }
+    };
+    for set in [
+        format!("path.pieces={pieces}"),
+        format!("reference.speed_mps={speed_mps:?}"),
+        format!("vehicle.steering_delay_s={delay_s:?}"),
+        format!("vehicle.steering_lag_s={lag_s:?}"),
+        "drive.loop_time_s=40.0".to_owned(),
+        "controller.compensate_dead_time=false".to_owned(),
+        "noise.position_sd_m=0.1".to_owned(),
+    ] {
+        layers.set(&set).unwrap();
+    }
+    layers.resolve().unwrap()
+}
+
+/// How a speed that is held for some time tells sets that shake from others, beside the highest speed of the drive:
+/// `PATHTUNE_MARGIN=1` looks at every set of the grids, otherwise at one in so many.
+#[test]
+fn the_speed_that_is_held_finds_the_sets_that_shake_and_flags_fewer_of_the_others() {
+    let every = std::env::var("PATHTUNE_MARGIN").map_or(97, |text| text.parse().unwrap());
+    const HOLDS_S: [f64; 6] = [0.0, 0.5, 1.0, 2.0, 3.0, 5.0];
+    let mut found = [Found::default(); HOLDS_S.len()];
+    for maneuver in ["lane_change", "roundabout"] {
+        for speed_mps in [1.2, 1.5, 3.5, 4.0] {
+            for (delay_s, lag_s) in [(0.0, 0.0), (0.12, 0.08), (0.24, 0.27)] {
+                let config = steady_drive(maneuver, speed_mps, delay_s, lag_s);
+                let tick_s = config.drive.tick_s;
+                let mut rollout = Rollout::new(&config);
+                let grid = config.grid();
+                for at in grid.positions().step_by(every) {
+                    let set: Parameters = grid.set(at);
+                    let mut speeds = Vec::new();
+                    rollout.drive_with(set, None, |_, it| speeds.push(it.observation.speed_mps));
+                    let mut off = Vec::new();
+                    rollout.drive_with(set, Some(7), |tick, it| {
+                        if tick as f64 * tick_s >= 25.0 {
+                            off.push(it.decision.path_distance_m);
+                        }
+                    });
+                    let is_bad = off.is_empty() || off.iter().any(|it| *it > 0.5);
+                    for (hold_s, found) in HOLDS_S.into_iter().zip(&mut found) {
+                        let speed_mps = held_speed_mps(&speeds, tick_s, hold_s);
+                        let margin = margin(&config, &set, speed_mps);
+                        let is_flagged = margin.why_fragile().is_some();
+                        *if is_bad { &mut found.bad } else { &mut found.good } += 1;
+                        *if is_bad { &mut found.bad_found } else { &mut found.good_flagged } +=
+                            u32::from(is_flagged);
+                    }
+                }
+            }
+        }
+    }
+    for (hold_s, it) in HOLDS_S.into_iter().zip(&found) {
+        println!(
+            "held {hold_s} s: found {} of {} bad ones, flagged {} of {} good ones",
+            it.bad_found, it.bad, it.good_flagged, it.good
+        );
+    }
+    let at = |hold_s: f64| found[HOLDS_S.iter().position(|it| *it == hold_s).unwrap()];
+    let (peak, held) = (at(0.0), at(HELD_S));
+    assert!(f64::from(held.bad_found) >= 0.95 * f64::from(peak.bad_found), "{held:?} {peak:?}");
+    assert!(held.good_flagged < peak.good_flagged, "{held:?} {peak:?}");
+}
