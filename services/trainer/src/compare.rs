@@ -169,25 +169,25 @@ impl Course {
 /// What drives by which true values are read.
 enum Truth {
     /// Without noise, of the configured vehicle or over plants.
-    NoiseFree(PlantRollouts),
+    NoiseFree(Box<PlantRollouts>),
     /// With noise, of the configured vehicle.
-    Noisy(Rollout),
+    Noisy(Box<Rollout>),
     /// With noise over plants: those of any set, and those of the best.
-    OverPlants(PlantRollouts, PlantRollouts),
+    OverPlants(Box<[PlantRollouts; 2]>),
 }
 
 impl Truth {
     fn new(config: &RunConfig) -> Self {
         if config.is_noisy_over_plants() {
             let with = |purpose, repeats| PlantRollouts::with(config, purpose, repeats);
-            return Self::OverPlants(
+            return Self::OverPlants(Box::new([
                 with(Purpose::Telling, DRIVES_OF_PLANT),
                 with(Purpose::Choosing, DRIVES_OF_BEST_PLANT),
-            );
+            ]));
         }
         match config.noise.enabled {
-            true => Self::Noisy(Rollout::new(config)),
-            false => Self::NoiseFree(PlantRollouts::of_ranking(config)),
+            true => Self::Noisy(Box::new(Rollout::new(config))),
+            false => Self::NoiseFree(Box::new(PlantRollouts::of_ranking(config))),
         }
     }
 }
@@ -263,7 +263,7 @@ impl Yardstick {
         match &mut self.truth {
             Truth::NoiseFree(_) => self.measure(set),
             Truth::Noisy(rollout) => mean_over(rollout, &self.objective, set, SEEDS_OF_BEST),
-            Truth::OverPlants(_, best) => self.objective.of(&best.drive(*set, None)),
+            Truth::OverPlants(both) => self.objective.of(&both[1].drive(*set, None)),
         }
     }
 
@@ -288,7 +288,7 @@ impl Yardstick {
                 self.objective.of(&drive)
             }
             Truth::Noisy(rollout) => mean_over(rollout, &self.objective, set, SEEDS_OF_TRUTH),
-            Truth::OverPlants(any, _) => self.objective.of(&any.drive(*set, None)),
+            Truth::OverPlants(both) => self.objective.of(&both[0].drive(*set, None)),
         }
     }
 
