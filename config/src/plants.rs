@@ -255,7 +255,10 @@ impl RunConfig {
             let problem = "can be multiplied alone: move it to scale".to_owned();
             return Err((format!("add.{}", PlantChange::SPEED), problem));
         }
-        let plant = Self { vehicle: change.of(&self.vehicle)?, ..self.clone() };
+        let mut vehicle = change.of(&self.vehicle)?;
+        // What the file states of its own values says nothing of a plant's, which may lie beyond an interval.
+        vehicle.uncertainty = Default::default();
+        let plant = Self { vehicle, ..self.clone() };
         crate::validate::vehicle(&plant).map_err(|(key, problem)| {
             (key, format!("{problem}, with the plant \"{}\"", change.name))
         })

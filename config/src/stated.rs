@@ -270,6 +270,10 @@ mod tests {
             with_vehicle(&format!("{STATED}identified = true\n"), &["over.by=mean"]).unwrap();
         // The eight of the recipe, and one whose reference is faster.
         assert_eq!(found.plants(), 9);
+        // An identification is surer than the recipe: its plants lie beyond the intervals.
+        let sure = "[uncertainty]\nidentified = true\nsteering_delay_s = [0.0195, 0.0205]\nwheelbase_m = 0.0001\n";
+        assert_eq!(with_vehicle(sure, &["over.by=mean"]).unwrap().plants(), 9);
+        assert_eq!(with_vehicle(sure, &[]).unwrap().plant_changes().len(), 8);
         let few = with_vehicle(&format!("{STATED}plants = 4\n"), &["over.by=worst"]).unwrap();
         assert_eq!(few.plants(), 4);
         // A half-width beyond 0 of what cannot be negative ends at 0.
