@@ -45,7 +45,7 @@ pub(crate) const SERVICES: Services = Services(&[
     // For the benchmark: one process of the bare ring, the same over standard input and output, and plain calls.
     Service::new("ring", None, |words| Ok(runtime::ring::run(hop(words)?)?)),
     Service::new("stream-ring", None, |words| Ok(runtime::ring::run_over_streams(hop(words)?)?)),
-    Service::new("calls", None, |_| Ok(time_calls()?)),
+    Service::new("calls", None, |words| Ok(time_calls(words)?)),
 ]);
 
 fn drive_ros2() -> Result<(), Failure> {
@@ -74,11 +74,14 @@ fn hop(words: &[String]) -> anyhow::Result<Hop> {
     }
 }
 
-/// Times plain calls over the grid that the benchmark's pipelines drive. Prints nanoseconds per tick to standard error,
-/// as a ring does: the mean, and the median and 99th percentile over the drives.
-fn time_calls() -> anyhow::Result<()> {
+/// `calls [LAW]`: times plain calls over the grid that the benchmark's pipelines drive. Prints nanoseconds per tick to
+/// standard error, as a ring does: the mean, and the median and 99th percentile over the drives.
+fn time_calls(words: &[String]) -> anyhow::Result<()> {
+    let law = words.first().map_or(bench::LAW, String::as_str);
+    // A tick of another law may cost a thousand times as much.
+    let sets = if law == bench::LAW { 512 } else { 16 };
     let mut layers = config::Layers::maneuver(bench::MANEUVER)?;
-    for setting in bench::spread(512)? {
+    for setting in bench::spread(law, sets)? {
         layers.set(&setting)?;
     }
     let config = layers.resolve()?;

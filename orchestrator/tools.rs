@@ -6,13 +6,17 @@ use monitor::MonitorError;
 use orchestrator::cli::{CompareArgs, MonitorArgs, RecordArgs, ReplayArgs};
 use orchestrator::runs::{LivingRun, living_run};
 use orchestrator::words::{Failure, print_line};
-use orchestrator::{Services, Tools, commands};
+use orchestrator::{Services, StudyTools, Tools, commands};
 use replayer::reviewer::Outcome;
 
 pub(crate) const TOOLS: Tools = Tools {
     report: |folder| report::write_report(folder).map_err(|why| why.to_string()),
     compare,
-    study: |table| report::write_study(table).map_err(|why| why.to_string()),
+    study: StudyTools {
+        draw: |table, compared| report::write_study(table, compared).map_err(|why| why.to_string()),
+        course: trainer::compare::course,
+        joined: trainer::compare::joined,
+    },
     monitor: look,
     record,
     replay,

@@ -138,6 +138,47 @@ fn shell_words(command: &str) -> Vec<String> {
     command.split_whitespace().map(|word| word.replace('\'', "")).collect()
 }
 
+/// A job may be the validation of a set, and comes to what `pathtune validate` does.
+#[test]
+fn a_study_may_validate_sets() {
+    let sandbox = Sandbox::new();
+    let study = "
+        [[jobs]]
+        command = 'validate'
+        maneuver = 'lane_change'
+        objective = 'mse'
+        repeats = 2
+        gains = ['3,21,21,0.7', '0.1,1,6,0.7']";
+    fs::write(sandbox.path("study.toml"), study).unwrap();
+    ok(&sandbox.run(&["sweep", "plan", "study.toml"]));
+    ok(&sandbox.run(&["sweep", "run", "study.jsonl", "--all", "-j", "1"]));
+    ok(&sandbox.run(&["sweep", "collect", "study.jsonl"]));
+    let table = sandbox.text("study.csv");
+    assert_eq!(table.lines().count(), 3, "{table}");
+    let alone = sandbox.json(
+        "alone",
+        &[
+            "validate",
+            "lane_change",
+            "--gains",
+            "3,21,21,0.7",
+            "--repeats",
+            "2",
+            "--objective",
+            "mse",
+        ],
+    );
+    let row = &alone["rows"][0];
+    for figure in [&row["noise_free"]["mse_m2"], &row["noisy"]["mse_m2_worst"], &alone["digest"]] {
+        let figure = figure.as_str().map_or_else(|| figure.to_string(), str::to_owned);
+        assert!(table.lines().nth(1).unwrap().contains(&figure), "{figure}: {table}");
+    }
+    let several = study.replace("gains = ['3,21,21,0.7', '0.1,1,6,0.7']", "");
+    fs::write(sandbox.path("several.toml"), several).unwrap();
+    failed(&sandbox.run(&["sweep", "plan", "several.toml"]), 64, "a job validates one set");
+    sandbox.assert_clean();
+}
+
 #[test]
 fn damage_costs_one_job_and_wrong_input_is_not_tried_again() {
     let sandbox = Sandbox::new();
@@ -190,5 +231,49 @@ fn damage_costs_one_job_and_wrong_input_is_not_tried_again() {
     failed(&sandbox.run(&["sweep", "plan", "bad.toml"]), 64, "lane_change");
     assert!(!sandbox.path("bad.jsonl").exists());
     failed(&sandbox.run(&["sweep", "run", "cars.jsonl", "--all", "-j", "4096"]), 64, "take -j");
+    sandbox.assert_clean();
+}
+
+/// The tables of `compare` come from records of trainings that were made apart, and are the same; a tuner that lacks a job
+/// is left out and named.
+#[test]
+fn a_study_that_compares_tuners_prints_the_tables_of_compare() {
+    let sandbox = Sandbox::new();
+    let study = "
+        [common]
+        maneuver = 'lane_change'
+        compare = 4
+        seed = '1..2'
+        set.'grid.kl.step' = 10
+        [[jobs]]
+        tuner = ['random', 'sobol']
+        drives = 4";
+    fs::write(sandbox.path("study.toml"), study).unwrap();
+    ok(&sandbox.run(&["sweep", "plan", "study.toml"]));
+    let commands = ok(&sandbox.run(&["sweep", "jobs", "study.jsonl"]));
+    assert!(commands.lines().all(|it| it.ends_with(" # compared over 4 drives")), "{commands}");
+    ok(&sandbox.run(&["sweep", "run", "study.jsonl", "--all", "-j", "1"]));
+    let collected = ok(&sandbox.run(&["sweep", "collect", "study.jsonl"]));
+    let args =
+        ["compare", "lane_change", "--tuners", "random,sobol", "--seeds", "2", "--drives", "4"];
+    let set = ["--set", "grid.kl.step=10"];
+    let compared = ok(&sandbox.run(&[&args[..], &set].concat()));
+    assert!(collected.contains(compared.trim_end()), "{collected}{compared}");
+    let page = sandbox.text("study.html");
+    assert!(page.contains("Tuners compared") && page.contains("in the top 1 %"));
+
+    let results = sandbox.path("study.results");
+    let paths = |folder: &Path| fs::read_dir(folder).unwrap().flatten().map(|it| it.path());
+    let is_of_records = |folder: &PathBuf| folder.file_name().unwrap().len() == 2;
+    let folder = paths(&results).find(is_of_records).unwrap();
+    let is_record = |file: &PathBuf| !file.to_string_lossy().ends_with(".outcome.json");
+    fs::remove_file(paths(&folder).find(is_record).unwrap()).unwrap();
+    let output = sandbox.run(&["sweep", "collect", "study.jsonl"]);
+    failed(&output, 75, "1 job has no result");
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        said.contains("left out, because jobs have no result: ") && said.contains(" (1 of 2 jobs)"),
+        "{said}"
+    );
     sandbox.assert_clean();
 }

@@ -106,12 +106,15 @@ fn the_ring_is_scheduled_first_in_first_out_or_the_user_is_told() {
 #[test]
 fn a_bench_of_some_rows_tells_them() {
     let sandbox = Sandbox::new();
-    let only = ["--only", "calls", "--only", "ring/pipe", "--only", "pipeline/fleet=1"];
+    let only = ["calls", "ring/pipe", "pipeline/fleet=1", "law/stanley", "law/mpc/calls"];
+    let only: Vec<&str> = only.iter().flat_map(|it| ["--only", it]).collect();
     let output = sandbox.run(&[&["bench", "--rounds", "1", "--json"], &only[..]].concat());
     let told: Value = serde_json::from_slice(&output.stdout).unwrap();
     let rows = told["rows"].as_array().unwrap();
     let names: Vec<&str> = rows.iter().map(|row| row["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["calls", "pipeline/fleet=1", "pipeline/fleet=16", "ring/pipe"]);
+    let ours = ["calls", "pipeline/fleet=1", "pipeline/fleet=16", "ring/pipe"];
+    let of_laws = ["law/mpc/calls", "law/stanley/calls", "law/stanley/pipeline"];
+    assert_eq!(names, [&ours[..], &of_laws[..]].concat());
     for row in rows {
         for key in ["ticks_per_s", "vehicle_ticks_per_s", "p50_ns", "p99_ns"] {
             assert!(row[key].as_f64().unwrap() > 0.0, "{row}");

@@ -95,9 +95,11 @@ mod tests {
         assert_eq!(small[1].default, 2.0 * ratio);
         assert_eq!((small[1].min, small[1].max), (0.1 * ratio, 20.0 * ratio));
         assert_eq!(law_first.grid["ld_min"].min, 0.5 * ratio);
+        // A length for each metre a second is a length.
+        assert_eq!((small[2].default, law_first.grid["ld_s"].step), (0.8 * ratio, 0.4 * ratio));
         // The step of a log scale and what is no length stay.
         assert_eq!(law_first.grid["ld_min"].step, 2.0);
-        assert_eq!(small[2], parameters[2]);
+        assert_eq!(small[3], parameters[3]);
         assert_eq!(law_first.grid().len(), full_size.grid().len());
     }
 

@@ -145,6 +145,7 @@ mod tests {
         let of_law = |name: &str| small.iter().find(|it| it.config.law.name == name).unwrap();
         let pure_pursuit = of_law("pure_pursuit");
         assert_eq!(pure_pursuit.parameters.0[1], 2.0 * 0.3302 / 2.875);
+        assert_eq!(pure_pursuit.parameters.0[2], 0.8 * (0.3302 / 2.875));
         let mut fitted = Layers::maneuver("smooth_lane").unwrap();
         fitted.set("vehicle_preset=f1tenth").unwrap();
         fitted.set("law_preset=pure_pursuit").unwrap();

@@ -21,7 +21,7 @@ use crate::runs::EndedRun;
 use crate::runs::folder::refuse_earlier_run;
 use crate::runs::result::name_files;
 use crate::runs::setup::{BagReader, read_bags_with};
-use crate::study::sweep;
+use crate::study::{StudyTools, sweep};
 use crate::words::{Failure, print_failure, print_line, print_usage_error};
 
 /// What the binary hands in: the parts that link services, which this library does not.
@@ -40,8 +40,8 @@ pub struct Tools {
     pub report: fn(&Path) -> Result<PathBuf, String>,
     /// Compares tuners by plain calls: no pipeline, no run.
     pub compare: fn(&CompareArgs) -> Result<(), Failure>,
-    /// Draws the page of a study beside the table of its jobs; returns the page's path.
-    pub study: fn(&Path) -> Result<PathBuf, String>,
+    /// What a study needs of them.
+    pub study: StudyTools,
     /// Watches a living run.
     pub monitor: fn(MonitorArgs) -> Result<(), Failure>,
     /// Records a living run.

@@ -31,3 +31,4 @@ pub mod words;
 
 pub use doorway::{House, Tools, run};
 pub use pipeline::services::{Service, Services};
+pub use study::StudyTools;

@@ -5,7 +5,7 @@ mod by_clock;
 mod pipelines;
 mod rings;
 
-use config::Layers;
+use config::{Layers, Scale};
 use serde_json::{Value, json};
 
 use self::pipelines::{pipeline, pipelines, waiting};
@@ -19,25 +19,49 @@ use crate::words::terminal::{say, tell};
 /// last half a minute, so that the time between drives hardly counts.
 pub const MANEUVER: &str = "roundabout";
 
-/// Settings of a grid of `sets` sets (a power of two, with at least one doubling for each parameter), spread over the
-/// whole grid of the manoeuvre: the cost of a tick depends on the gains, too.
+/// The law of all rows but those that name another.
+pub const LAW: &str = "paper";
+
+/// Settings of a law with a grid of `sets` sets (a power of two), spread over the law's whole grid in the manoeuvre: the
+/// cost of a tick depends on the gains, too.
 ///
 /// # Errors
-/// None: the presets are sound.
-pub fn spread(sets: usize) -> anyhow::Result<Vec<String>> {
-    let config = Layers::maneuver(MANEUVER)?.resolve()?;
+/// If there is no such law.
+pub fn spread(law: &str, sets: usize) -> anyhow::Result<Vec<String>> {
+    let mut layers = Layers::maneuver(MANEUVER)?;
+    layers.set_law("law", law)?;
+    let config = layers.resolve()?;
     // Each doubling goes to another axis.
-    let mut counts = vec![1; config.law.count()];
+    let mut counts = vec![1_u32; config.law.count()];
     for doubling in 0..sets.ilog2() as usize {
         let axes = counts.len();
         counts[doubling % axes] *= 2;
     }
-    let steps = config.law.keys().zip(counts).map(|(key, count)| {
-        let axis = config.grid[key];
-        let step = (axis.max - axis.min) / (count - 1) as f64;
-        format!("grid.{key}.step={step:?}")
-    });
-    Ok(steps.collect())
+    let mut settings = vec![format!("law_preset={law}")];
+    for (parameter, count) in config.law.parameters.iter().zip(counts) {
+        let key = &parameter.key;
+        let axis = config.grid[key.as_str()];
+        // A single value is the textbook's. The values of a logarithmic axis are a step's factor apart.
+        settings.push(match (count, parameter.scale) {
+            (1, _) => {
+                let value = parameter.default;
+                format!("grid.{key}={{min={value:?},max={value:?},step={:?}}}", axis.step)
+            }
+            (_, Scale::Linear) => {
+                format!("grid.{key}.step={:?}", (axis.max - axis.min) / f64::from(count - 1))
+            }
+            (_, Scale::Log) => {
+                let factor = (axis.max / axis.min).powf(1.0 / f64::from(count - 1));
+                format!("grid.{key}.step={factor:?}")
+            }
+        });
+    }
+    Ok(settings)
+}
+
+/// The laws that have rows of their own: all that follow a path but [`LAW`].
+fn other_laws() -> impl Iterator<Item = &'static str> {
+    config::names_in("laws").filter(|name| ![LAW, "excitation"].contains(name))
 }
 
 /// Nanoseconds a tick.
@@ -73,6 +97,8 @@ enum Subject {
     Pipeline(usize),
     Pipelines(usize, usize),
     Observers(usize),
+    CallsOf(&'static str),
+    PipelineOf(&'static str),
 }
 
 impl Subject {
@@ -86,6 +112,8 @@ impl Subject {
             Subject::Pipeline(fleet) => format!("pipeline/fleet={fleet}"),
             Subject::Pipelines(count, fleet) => format!("pipelines={count}/fleet={fleet}"),
             Subject::Observers(count) => format!("observers={count}"),
+            Subject::CallsOf(law) => format!("law/{law}/calls"),
+            Subject::PipelineOf(law) => format!("law/{law}/pipeline"),
         }
     }
 
@@ -94,16 +122,21 @@ impl Subject {
             Subject::Ring(_, fleet) | Subject::Pipeline(fleet) | Subject::Pipelines(_, fleet) => {
                 fleet
             }
-            Subject::Calls | Subject::Observers(_) => 1,
+            Subject::Calls
+            | Subject::Observers(_)
+            | Subject::CallsOf(_)
+            | Subject::PipelineOf(_) => 1,
         }
     }
 
     fn measure(self) -> anyhow::Result<Timing> {
         match self {
             Subject::Ring(transport, fleet) => ring(transport, fleet),
-            Subject::Calls => calls(),
-            Subject::Pipeline(fleet) => pipeline(fleet, 0),
-            Subject::Observers(count) => pipeline(1, count),
+            Subject::Calls => calls(LAW),
+            Subject::Pipeline(fleet) => pipeline(LAW, fleet, 0),
+            Subject::Observers(count) => pipeline(LAW, 1, count),
+            Subject::CallsOf(law) => calls(law),
+            Subject::PipelineOf(law) => pipeline(law, 1, 0),
             // As if they were one pipeline, to compare with one.
             Subject::Pipelines(count, fleet) => {
                 Ok(Timing::of_mean(1e9 * fleet as f64 / pipelines(count, fleet)?))
@@ -122,6 +155,7 @@ fn subjects() -> Vec<Subject> {
     subjects.extend([Subject::Ring(Transport::Pipe, 1), Subject::Ring(Transport::UnixSocket, 1)]);
     subjects.extend([1, 16].map(|fleet| Subject::Pipelines(cores, fleet)));
     subjects.extend([1, 3, 6].map(Subject::Observers));
+    subjects.extend(other_laws().flat_map(|law| [Subject::CallsOf(law), Subject::PipelineOf(law)]));
     subjects
 }
 

@@ -14,7 +14,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
 use super::rings::Killed;
-use super::{MANEUVER, Timing, spread};
+use super::{LAW, MANEUVER, Timing, spread};
 use crate::runs::state::RunState;
 
 /// A pipeline that does nothing but drive: the sets of a grid, one drive each.
@@ -26,9 +26,10 @@ struct Sweep {
 /// Name of the file with the times of a pipeline's ticks.
 const TICK_TIMES: &str = "tick_times";
 
-/// As many drives as take about a second and leave no place in the fleet empty.
-fn drives_of(fleet: usize) -> usize {
+/// As many drives as take about a second and leave no place in the fleet empty. Another law may take longer for each.
+fn drives_of(law: &str, fleet: usize) -> usize {
     match fleet {
+        0..=3 if law != LAW => 16,
         0..=3 => 32,
         4..=15 => 128,
         16..=63 => 512,
@@ -37,12 +38,12 @@ fn drives_of(fleet: usize) -> usize {
 }
 
 impl Sweep {
-    fn start(fleet: usize, more: &[&str]) -> Result<Self> {
+    fn start(law: &str, fleet: usize, more: &[&str]) -> Result<Self> {
         let folder = tempfile::tempdir()?;
         let orchestrator = Command::new("/proc/self/exe")
             .arg0("pathtune")
             .args(["grid", MANEUVER])
-            .args(spread(drives_of(fleet))?.iter().flat_map(|it| ["--set", it]))
+            .args(spread(law, drives_of(law, fleet))?.iter().flat_map(|it| ["--set", it]))
             // Wait as the rings do, whatever else the machine would allow.
             .args(["--wait", "yield", "--fleet", &fleet.to_string(), "--json", "--out"])
             .arg(folder.path().join("run"))
@@ -94,9 +95,9 @@ impl Drop for Sweep {
     }
 }
 
-/// A tick of one pipeline with the given number of monitors attached.
-pub(super) fn pipeline(fleet: usize, monitors: usize) -> Result<Timing> {
-    let mut sweep = Sweep::start(fleet, &[])?;
+/// A tick of one pipeline with this law, and with the given number of monitors attached.
+pub(super) fn pipeline(law: &str, fleet: usize, monitors: usize) -> Result<Timing> {
+    let mut sweep = Sweep::start(law, fleet, &[])?;
     let mut watching = Vec::new();
     if monitors > 0 {
         let run = sweep.run()?;
@@ -122,7 +123,7 @@ fn monitor(run: &str) -> std::io::Result<Child> {
 /// Vehicle ticks a second of `count` pipelines at once, together.
 pub(super) fn pipelines(count: usize, fleet: usize) -> Result<f64> {
     let mut sweeps: Vec<Sweep> =
-        (0..count).map(|_| Sweep::start(fleet, &[])).collect::<Result<_>>()?;
+        (0..count).map(|_| Sweep::start(LAW, fleet, &[])).collect::<Result<_>>()?;
     let mut rate = 0.0;
     for sweep in &mut sweeps {
         rate += fleet as f64 * 1e9 / sweep.tick_ns()?;
@@ -144,7 +145,7 @@ pub(super) struct Waiting {
 /// from the start of a pipeline to its first drive.
 pub(super) fn waiting() -> Result<(Vec<Waiting>, Duration)> {
     let started = Instant::now();
-    let mut sweep = Sweep::start(1, &["--chaos", "delay odometry 10ms"])?;
+    let mut sweep = Sweep::start(LAW, 1, &["--chaos", "delay odometry 10ms"])?;
     sweep.run()?;
     let start_up = started.elapsed();
     std::thread::sleep(Duration::from_millis(500));

@@ -96,11 +96,11 @@ impl Transport {
     }
 }
 
-/// A tick of one vehicle by plain calls, in a process of its own, because this crate links no service.
-pub(super) fn calls() -> Result<Timing> {
+/// A tick of one vehicle with this law by plain calls, in a process of its own, because this crate links no service.
+pub(super) fn calls(law: &str) -> Result<Timing> {
     let child = Command::new("/proc/self/exe")
         .arg0("pathtune")
-        .args(["service", "calls"])
+        .args(["service", "calls", law])
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())

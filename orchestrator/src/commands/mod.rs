@@ -25,5 +25,5 @@ pub(crate) use gains::gains;
 pub(crate) use housekeeping::{clean, doctor, logs, status, stop};
 pub(crate) use presets::{print_schema, show_config};
 pub(crate) use rearm::rearm;
-pub(crate) use sweep::{grid, validate};
+pub(crate) use sweep::{grid, resolve_validation, validate, validate_silently};
 pub(crate) use train::{resolve_training, train, train_silently};

@@ -2,15 +2,16 @@
 
 use config::launch::Role;
 use config::{MAX_FLEET, OverBy, Parameters, RunConfig, SweepKind, SweepPlan};
+use outcome::RunResult;
 
 use crate::cli::{GridArgs, SetupArgs, ValidateArgs};
 use crate::commands::drive::envelope;
 use crate::commands::train::{check_plants, put_plants};
 use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
-use crate::runs::result::conclude;
-use crate::runs::running::run_or_unmake;
-use crate::runs::setup::{self, Folder};
+use crate::runs::result::{conclude, write_result};
+use crate::runs::running::{RunFacts, run_or_unmake};
+use crate::runs::setup::{self, Folder, Ready};
 use crate::words::Failure;
 use crate::words::terminal::tell;
 
@@ -19,6 +20,31 @@ use crate::words::terminal::tell;
 /// # Errors
 /// On a user's mistake, before anything is started; if the pipeline cannot be kept alive.
 pub(crate) fn validate(args: &ValidateArgs, services: Services) -> Result<EndedRun, Failure> {
+    let (config, plan) = resolve_validation(args)?;
+    sweep(&args.setup, config, services, plan, Kind::named("validate"))
+}
+
+/// The same without a word on standard output, and without a report.
+///
+/// # Errors
+/// As [`validate`]; [`Failure::Interrupted`] if it was stopped.
+pub(crate) fn validate_silently(
+    args: &ValidateArgs,
+    services: Services,
+) -> Result<RunResult, Failure> {
+    let (config, plan) = resolve_validation(args)?;
+    let (ready, facts) = run_plan(&args.setup, config, services, plan, Kind::named("validate"))?;
+    if let Some(signal) = facts.pipeline.stopped_by {
+        return Err(Failure::Interrupted(signal, "begin it again".to_owned()));
+    }
+    write_result(&ready.plan, &facts)
+}
+
+/// The configuration of a validation and its list of drives, from its options.
+///
+/// # Errors
+/// On a user's mistake.
+pub(crate) fn resolve_validation(args: &ValidateArgs) -> Result<(RunConfig, SweepPlan), Failure> {
     let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, None)?;
     // A validation also reports whether a drive leaves the road.
     if !args.setup.set.iter().any(|set| set.trim_start().starts_with("collision.enabled")) {
@@ -43,7 +69,7 @@ pub(crate) fn validate(args: &ValidateArgs, services: Services) -> Result<EndedR
     }
     fill_fleet(&mut config, &args.setup, rows * (args.repeats as usize + 1));
     let plan = plan(&config, SweepKind::Validate, args.repeats, &sets);
-    sweep(&args.setup, config, services, plan, Kind::named("validate"))
+    Ok((config, plan))
 }
 
 /// Drives every gain set of the grid: without noise, but over plants with it where that is asked for.
@@ -155,6 +181,18 @@ pub(crate) fn sweep(
     plan: SweepPlan,
     kind: Kind,
 ) -> Result<EndedRun, Failure> {
+    let (ready, facts) = run_plan(args, config, services, plan, kind)?;
+    conclude(&ready.plan, &facts, args.json)
+}
+
+/// Makes the drives of a plan. While the first of the two is held, the run's folder is locked.
+fn run_plan(
+    args: &SetupArgs,
+    config: RunConfig,
+    services: Services,
+    plan: SweepPlan,
+    kind: Kind,
+) -> Result<(Ready, RunFacts), Failure> {
     let mut launch = setup::launch(args, services, Some("schedule"))?;
     if let Some(name) = kind.vehicle {
         services
@@ -170,5 +208,5 @@ pub(crate) fn sweep(
         tell!("{note}");
     }
     let facts = run_or_unmake(&ready, true)?;
-    conclude(&ready.plan, &facts, args.json)
+    Ok((ready, facts))
 }

@@ -9,9 +9,10 @@ use std::collections::BTreeMap;
 
 use toml::{Table, Value};
 
-/// The axes besides `set` and `seed`, in the order in which they are combined, with the option of `train` that each is.
-/// The manoeuvre has none: it is the first word.
-const AXES: [(&str, &str); 13] = [
+/// The axes besides `set` and `seed`, in the order in which they are combined, with the option that each is. The command
+/// and the manoeuvre have none: they are the first words.
+const AXES: [(&str, &str); 17] = [
+    (COMMAND, ""),
     ("maneuver", ""),
     ("path", "--path"),
     ("vehicle", "--vehicle"),
@@ -25,7 +26,18 @@ const AXES: [(&str, &str); 13] = [
     ("episodes", "--episodes"),
     ("drives", "--drives"),
     ("fleet", "--fleet"),
+    ("gains", "--gains"),
+    ("repeats", "--repeats"),
+    (COMPARE, ""),
 ];
+
+/// The axis that says what a job is: a training, or the validation of one set with `gains` and `repeats`.
+const COMMAND: &str = "command";
+/// What a job may be.
+const COMMANDS: [&str; 2] = ["train", "validate"];
+
+/// The axis that asks for what `pathtune compare` says of a training, over so many drives. It is no option of `train`.
+pub(crate) const COMPARE: &str = "compare";
 
 /// Axes whose value is, or may be, the name of a file.
 const FILES: [&str; 5] = ["path", "vehicle", "law", "config", "over"];
@@ -204,7 +216,9 @@ impl Study {
 impl Choice {
     fn new(chosen: &[(&str, &Value)], file: impl Fn(&str) -> String) -> Self {
         let mut axes = BTreeMap::new();
-        let (mut command, mut sets) = (vec!["train".to_owned()], Vec::new());
+        let named = chosen.iter().find(|(name, _)| *name == COMMAND).map(|(_, value)| plain(value));
+        let (mut command, mut sets) =
+            (vec![named.unwrap_or_else(|| COMMANDS[0].to_owned())], Vec::new());
         for (name, value) in chosen {
             axes.insert((*name).to_owned(), plain(value));
             if let Some(key) = name.strip_prefix(SET) {
@@ -215,7 +229,7 @@ impl Choice {
                 AXES.iter().find(|(axis, _)| axis == name).map_or("", |(_, option)| option);
             match (*name, value) {
                 ("noise", Value::Boolean(true)) => command.push(option.to_owned()),
-                ("noise", _) => {}
+                ("noise", _) | (COMMAND | COMPARE, _) => {}
                 ("maneuver", value) => command.push(plain(value)),
                 (name, value) => {
                     let value = plain(value);
@@ -228,6 +242,11 @@ impl Choice {
         Self { axes, command }
     }
 
+    /// The drives over which it is compared, if it is; see [`compared_over`].
+    pub(crate) fn compared_over(&self) -> Option<u32> {
+        compared_over(&self.axes)
+    }
+
     /// The same job with this seed.
     pub(crate) fn with_seed(&self, seed: u64) -> Self {
         let mut job = self.clone();
@@ -235,6 +254,11 @@ impl Choice {
         job.command.extend(["--seed".to_owned(), seed.to_string()]);
         job
     }
+}
+
+/// The drives over which a job with these axes is compared, as `pathtune compare` does, if the study asks for it.
+pub(crate) fn compared_over(axes: &BTreeMap<String, String>) -> Option<u32> {
+    axes.get(COMPARE)?.parse().ok()
 }
 
 /// A value without the quotes that TOML puts around texts.
@@ -274,7 +298,9 @@ fn axes_of(place: &str, table: &Table) -> Result<Vec<Axis>, String> {
                 if let Some(wrong) = values.iter().find(|value| !fits(key, value)) {
                     let wanted = match key {
                         "noise" => "true or false",
-                        "episodes" | "drives" | "fleet" => "a whole number",
+                        COMPARE => "a number of drives, from 1 to 10000",
+                        COMMAND => "\"train\" or \"validate\"",
+                        "episodes" | "drives" | "fleet" | "repeats" => "a whole number",
                         _ => "a name in quotes",
                     };
                     return Err(format!("{place}: is {wrong}, but must be {wanted}"));
@@ -298,7 +324,9 @@ fn axes_of(place: &str, table: &Table) -> Result<Vec<Axis>, String> {
 fn fits(axis: &str, value: &Value) -> bool {
     match axis {
         "noise" => value.is_bool(),
-        "episodes" | "drives" | "fleet" => value.as_integer().is_some_and(|it| it > 0),
+        COMPARE => value.as_integer().is_some_and(|it| (1..=10_000).contains(&it)),
+        COMMAND => value.as_str().is_some_and(|it| COMMANDS.contains(&it)),
+        "episodes" | "drives" | "fleet" | "repeats" => value.as_integer().is_some_and(|it| it > 0),
         // A word that begins with a dash would be taken for an option.
         _ => value.as_str().is_some_and(|it| !it.is_empty() && !it.starts_with('-')),
     }
@@ -417,6 +445,9 @@ mod tests {
             ]
         );
         assert_eq!(commands("[[jobs]]\nmaneuver = 'circuit'"), ["train circuit"]);
+        let tables = "[[jobs]]\ncommand = 'validate'\nmaneuver = 'circuit'\ngains = ['1,2', '3']";
+        let validate = |gains: &str| format!("validate circuit --gains {gains}");
+        assert_eq!(commands(tables), [validate("1,2"), validate("3")]);
         let over =
             "[[jobs]]\nmaneuver = 'circuit'\nover = ['default', 'p.toml']\nover_by = 'worst'";
         let words = |plants: &str| format!("train circuit --over {plants} --over-by worst");
@@ -441,6 +472,11 @@ mod tests {
                 "jobs[0].noise: is 1, but must be true or false",
             ),
             ("[[jobs]]\nmaneuver = 'a'\nepisodes = -1", "jobs[0].episodes: is -1"),
+            (
+                "[[jobs]]\nmaneuver = 'a'\ncompare = 0",
+                "jobs[0].compare: is 0, but must be a number",
+            ),
+            ("[[jobs]]\nmaneuver = 'a'\ncommand = 'grid'", "jobs[0].command: is \"grid\", but"),
             ("[[jobs]]\nmaneuver = 'a'\nseed = '2..1'", "jobs[0].seed: 2..1: ends before"),
             ("[[jobs]]\nmaneuver = 'a'\nseed = '1-3'", "jobs[0].seed: is not a seed"),
             ("[[jobs]]\nmaneuver = 'a'\nseed = -1", "jobs[0].seed: is not a seed"),

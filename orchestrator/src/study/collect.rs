@@ -10,10 +10,12 @@ use std::path::Path;
 
 use comfy_table::Table;
 use comfy_table::presets::NOTHING;
+use outcome::Course;
 
 use crate::cli::StudyArg;
-use crate::study::Draw;
+use crate::study::StudyTools;
 use crate::study::axes::in_order;
+use crate::study::compared::{self, Comparisons};
 use crate::study::manifest::{Job, Manifest};
 use crate::study::record::Figures;
 use crate::study::status::{Damages, jobs_have, ranges};
@@ -26,7 +28,7 @@ use crate::words::terminal::{say, tell};
 const MOST_GROUPS: usize = 60;
 
 /// Columns with what a record holds.
-const FIGURES: [&str; 24] = [
+const FIGURES: [&str; 33] = [
     "resolved_vehicle",
     "resolved_law",
     "resolved_objective",
@@ -48,7 +50,16 @@ const FIGURES: [&str; 24] = [
     "random_walk_value",
     "asked",
     "distinct",
-    "gains",
+    "compared_drives",
+    "to_within_2_percent",
+    "to_top_1_percent",
+    "regret",
+    "noisy_mean_mse_m2",
+    "noisy_worst_mse_m2",
+    "noisy_path_mean_m",
+    "noisy_path_max_m",
+    "noisy_collisions",
+    "resolved_gains",
     "on_bound",
     "digest",
 ];
@@ -58,6 +69,7 @@ fn cells(it: &Figures) -> [String; FIGURES.len()] {
     fn or_empty(value: Option<impl ToString>) -> String {
         value.map_or_else(String::new, |value| value.to_string())
     }
+    let course = it.course.as_ref();
     [
         it.vehicle.clone(),
         it.law.clone(),
@@ -80,6 +92,17 @@ fn cells(it: &Figures) -> [String; FIGURES.len()] {
         or_empty(it.random_walk_value),
         it.asked.to_string(),
         it.distinct.to_string(),
+        or_empty(course.map(|it| it.drives)),
+        or_empty(course.and_then(|it| it.drives_to(Course::within_2_percent_value(it.best_value)))),
+        or_empty(course.and_then(|it| it.drives_to(it.top_1_percent_value))),
+        or_empty(course.and_then(|it| {
+            it.recommended.last().map(|value| Course::regret(*value, it.best_value))
+        })),
+        or_empty(it.noisy.map(|it| it.mse_m2_mean)),
+        or_empty(it.noisy.map(|it| it.mse_m2_worst)),
+        or_empty(it.noisy.map(|it| it.path_mean_m)),
+        or_empty(it.noisy.map(|it| it.path_max_m)),
+        or_empty(it.noisy.map(|it| it.collisions)),
         it.gains.clone(),
         it.on_bound.join(" "),
         it.digest.clone(),
@@ -94,7 +117,7 @@ pub(crate) fn collect(
     at: &StudyArg,
     out: Option<&Path>,
     parquet: bool,
-    draw: Draw,
+    tools: StudyTools,
 ) -> Result<(), Failure> {
     if parquet && cfg!(not(feature = "parquet")) {
         let why = "--parquet: this build writes no Parquet; build pathtune with --features parquet";
@@ -126,6 +149,7 @@ pub(crate) fn collect(
     let header = ["index", "job", "state"].iter().chain(&axes).chain(&FIGURES);
     table.write_record(header).map_err(|error| fail(&error))?;
     let (mut damages, mut groups) = (Damages::default(), Groups::default());
+    let mut comparisons = Comparisons::default();
     let mut lacking = Vec::new();
     for (number, line) in (0..).zip(manifest.lines()?) {
         let job = match line {
@@ -149,9 +173,10 @@ pub(crate) fn collect(
             lacking.push(job.index);
         }
         groups.add(&axes, &job, figures.as_ref());
+        comparisons.add(&axes, &job, figures.as_ref());
         let (index, values) = (job.index.to_string(), axes.iter().map(|name| job.axes.get(*name)));
         let values = values.map(|value| value.map_or("", String::as_str));
-        let cells = figures.as_ref().map_or_else(Default::default, cells);
+        let cells = figures.as_ref().map_or_else(|| std::array::from_fn(|_| String::new()), cells);
         let row = [&*index, &*job.job, state].into_iter().chain(values);
         table
             .write_record(row.chain(cells.iter().map(String::as_str)))
@@ -162,12 +187,14 @@ pub(crate) fn collect(
     fs::rename(&part, &out).map_err(|error| fail(&error))?;
 
     groups.print(&axes)?;
+    let compared = comparisons.joined(tools.joined);
+    compared::print(&compared)?;
     say!("{}", out.display());
     #[cfg(feature = "parquet")]
     if parquet {
         say!("{}", crate::study::parquet::write(&out)?.display());
     }
-    match draw(&out) {
+    match (tools.draw)(&out, &compared) {
         Ok(page) => say!("{}", page.display()),
         // The table is valid even if its pictures cannot be drawn.
         Err(why) => tell!("pathtune: no page: {why}"),
@@ -277,9 +304,19 @@ mod tests {
     use crate::study::manifest;
     use crate::study::record::tests::record;
 
+    fn tools(
+        draw: fn(&Path, &[outcome::StudyComparison]) -> Result<std::path::PathBuf, String>,
+    ) -> StudyTools {
+        StudyTools {
+            draw,
+            course: |_, _| Err("no study of these tests compares".to_owned()),
+            joined: |_, _| unreachable!("no study of these tests compares"),
+        }
+    }
+
     #[test]
     fn missing_jobs_have_empty_figures_and_their_group_no_mean() {
-        let draw: Draw = |table| Ok(table.with_extension("html"));
+        let tools = tools(|table, _| Ok(table.with_extension("html")));
         let folder = tempfile::tempdir().unwrap();
         let at = StudyArg { manifest: folder.path().join("s.jsonl"), results: None };
         let store = Store::of(&at).make().unwrap();
@@ -299,7 +336,7 @@ mod tests {
         for index in [0, 1, 3] {
             store.keep(&record(&job(index).job, index, 0.5 + index as f64), b"").unwrap();
         }
-        let why = collect(&at, None, false, draw).unwrap_err();
+        let why = collect(&at, None, false, tools).unwrap_err();
         assert_eq!(why.code(), 75);
         let text = fs::read_to_string(folder.path().join("s.csv")).unwrap();
         let rows: Vec<Vec<String>> = csv::Reader::from_reader(text.as_bytes())
@@ -324,12 +361,12 @@ mod tests {
         assert_eq!(said, [whole, "1 of 2 distance – – – – –"]);
 
         store.keep(&record(&job(2).job, 2, 2.5), b"").unwrap();
-        collect(&at, None, false, draw).unwrap();
+        collect(&at, None, false, tools).unwrap();
         let whole = fs::read_to_string(folder.path().join("s.csv")).unwrap();
         // A damaged record is named, and its job has no figures.
         let path = store.folder.join("00").join(format!("{}.json", job(2).job));
         fs::write(&path, "{").unwrap();
-        assert_eq!(collect(&at, None, false, draw).unwrap_err().code(), 64);
+        assert_eq!(collect(&at, None, false, tools).unwrap_err().code(), 64);
         assert_eq!(fs::read_to_string(folder.path().join("s.csv")).unwrap(), text);
         assert_ne!(whole, text);
     }
@@ -338,7 +375,7 @@ mod tests {
     #[test]
     fn a_large_study_is_collected_job_by_job() {
         let jobs = std::env::var("PATHTUNE_JOBS").map_or(300, |count| count.parse().unwrap());
-        let draw: Draw = |_| Err("not here".to_owned());
+        let tools = tools(|_, _| Err("not here".to_owned()));
         let folder = tempfile::tempdir().unwrap();
         let at = StudyArg { manifest: folder.path().join("s.jsonl"), results: None };
         let store = Store::of(&at).make().unwrap();
@@ -357,7 +394,7 @@ mod tests {
             store.keep(&record(&job(index).job, index, 1.0 / (1 + index) as f64), b"{}").unwrap();
         }
         let kept = started.elapsed() - planned;
-        collect(&at, None, false, draw).unwrap();
+        collect(&at, None, false, tools).unwrap();
         let collected = started.elapsed() - planned - kept;
         let status = fs::read_to_string("/proc/self/status").unwrap();
         let peak = status.lines().find(|line| line.starts_with("VmHWM")).unwrap_or_default();

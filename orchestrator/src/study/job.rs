@@ -1,4 +1,4 @@
-//! One job: a whole training in this process, and its record.
+//! One job: a whole training, or the validation of a set, in this process; and its record.
 //!
 //! A job that was killed leaves its run's folder in the scratch folder. Where the next trial finds it, it goes on from its
 //! journal; elsewhere it begins anew. Both come to the same bytes.
@@ -13,11 +13,13 @@ use outcome::{OUTCOME_FILE, RunResult, read_result};
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use rustix::thread::{CpuSet, sched_setaffinity};
 
-use crate::cli::{RunJobsArgs, TrainArgs};
-use crate::commands::train_silently;
+use crate::cli::{RunJobsArgs, TrainArgs, ValidateArgs};
+use crate::commands::{train_silently, validate_silently};
 use crate::pipeline::services::Services;
 use crate::runs::preflight::check_resources;
-use crate::study::identity::{Family, config_of, options_of};
+use crate::study::StudyTools;
+use crate::study::axes::compared_over;
+use crate::study::identity::{Family, JobOptions, options_of, resolve};
 use crate::study::manifest::{Job, Manifest};
 use crate::study::record::Record;
 use crate::study::store::{Store, host};
@@ -28,7 +30,12 @@ use crate::words::terminal::tell;
 ///
 /// # Errors
 /// [`Failure::User`] if trying again is useless, otherwise [`Failure::TryAgain`].
-pub(crate) fn run_job(args: &RunJobsArgs, index: u64, services: Services) -> Result<(), Failure> {
+pub(crate) fn run_job(
+    args: &RunJobsArgs,
+    index: u64,
+    services: Services,
+    tools: StudyTools,
+) -> Result<(), Failure> {
     tie_to(args)?;
     let job = Manifest::open(&args.at.manifest)?.job(index)?;
     let store = Store::of(&args.at).make()?;
@@ -36,7 +43,7 @@ pub(crate) fn run_job(args: &RunJobsArgs, index: u64, services: Services) -> Res
         say(args, &format!("job {index} is done already"));
         return Ok(());
     }
-    match try_job(args, &job, &store, services) {
+    match try_job(args, &job, &store, services, tools) {
         Ok(()) => {
             say(args, &format!("job {index} is done"));
             Ok(())
@@ -91,38 +98,26 @@ fn try_job(
     job: &Job,
     store: &Store,
     services: Services,
+    tools: StudyTools,
 ) -> Result<(), Failure> {
     // Files that the command names are relative to the manifest.
     let scratch = absolute(&args.scratch.clone().unwrap_or_else(|| store.folder.join("work")))?;
     let home = fs::canonicalize(&args.at.manifest)?;
     std::env::set_current_dir(home.parent().unwrap_or(Path::new("/")))?;
-    let mut options = options_of(&job.command)?;
-    let config = config_of(&job.command)?;
-    if Family::of(&config).identity(config.run.seed) != job.job {
+    let options = options_of(&job.command)?;
+    let resolved = resolve(&job.command)?;
+    let compared = compared_over(&job.axes);
+    let config = &resolved.config;
+    if Family::of(&resolved).compared(compared).identity(config.run.seed) != job.job {
         let why = "planned with another configuration, other files or another version of pathtune";
         return Err(Failure::User(format!("{why}; plan the study again")));
     }
     let folder = scratch.join(&job.job);
-    prepare(&folder, &mut options)?;
-    let run = |options: &TrainArgs| train_silently(options, services);
     // Before what an earlier trial left: this says nothing about it.
-    check_resources(config.fleet().max(config.learners()))
-        .map_err(|failure| Failure::TryAgain(failure.message()))?;
-    let trial = match (finished(&folder), options.resume.is_some()) {
-        (Some(result), _) => Ok(result),
-        (None, false) => run(&options),
-        (None, true) => match run(&options) {
-            // What an earlier trial left is of no use, as after a power cut: from the beginning, then.
-            Err(Failure::User(why)) => {
-                say(args, &format!("begins anew: {why}"));
-                wait_for_lock(&folder)?;
-                fs::remove_dir_all(&folder)?;
-                options.resume = None;
-                options.setup.out = Some(folder.clone());
-                run(&options)
-            }
-            other => other,
-        },
+    check_resources(resolved.max_len()).map_err(|failure| Failure::TryAgain(failure.message()))?;
+    let trial = match options {
+        JobOptions::Train(options) => train_in(&folder, options, args, services),
+        JobOptions::Validate(options) => validate_in(&folder, options, services),
     };
     let result = trial.map_err(|failure| match failure {
         // The configuration is right: what is left is this machine.
@@ -131,13 +126,58 @@ fn try_job(
     })?;
     let failed = |why: String| Failure::TryAgain(why);
     let outcome = fs::read(folder.join(OUTCOME_FILE))?;
-    let record = Record::of(&job.job, &result, &outcome, &host()).map_err(failed)?;
+    let course = compared.map(|drives| (tools.course)(config, drives));
+    let course = course.transpose().map_err(|why| Failure::User(format!("compare: {why}")))?;
+    let record = Record::of(&job.job, &result, &outcome, course, &host()).map_err(failed)?;
     store.keep(&record, &outcome).map_err(failed)?;
     if !args.keep {
         // What cannot be removed is in nobody's way.
         let _ = fs::remove_dir_all(&folder);
     }
     Ok(())
+}
+
+/// Trains in a folder, or goes on with the training that an earlier trial left there.
+fn train_in(
+    folder: &Path,
+    mut options: Box<TrainArgs>,
+    args: &RunJobsArgs,
+    services: Services,
+) -> Result<RunResult, Failure> {
+    prepare(folder, &mut options)?;
+    if let Some(result) = finished(folder) {
+        return Ok(result);
+    }
+    match train_silently(&options, services) {
+        // What an earlier trial left is of no use, as after a power cut: from the beginning, then.
+        Err(Failure::User(why)) if options.resume.is_some() => {
+            say(args, &format!("begins anew: {why}"));
+            wait_for_lock(folder)?;
+            fs::remove_dir_all(folder)?;
+            options.resume = None;
+            options.setup.out = Some(folder.to_owned());
+            train_silently(&options, services)
+        }
+        other => other,
+    }
+}
+
+/// Validates in a folder, from the beginning: it takes a second.
+fn validate_in(
+    folder: &Path,
+    mut options: Box<ValidateArgs>,
+    services: Services,
+) -> Result<RunResult, Failure> {
+    if folder.exists() {
+        wait_for_lock(folder)?;
+        if let Some(result) = finished(folder) {
+            return Ok(result);
+        }
+        fs::remove_dir_all(folder)?;
+    }
+    options.setup.quiet = true;
+    options.setup.out = Some(folder.to_owned());
+    validate_silently(&options, services)
 }
 
 /// A folder's whole path, made if it is not there.

@@ -16,7 +16,7 @@ use crate::cli::RunJobsArgs;
 use crate::pipeline::cores::free_first;
 use crate::pipeline::interrupts::Interrupts;
 use crate::runs::preflight::check_resources_of_pipelines;
-use crate::study::identity::config_of;
+use crate::study::identity::resolve;
 use crate::study::manifest::Manifest;
 use crate::study::progress::Progress;
 use crate::study::status::{Damages, jobs_have};
@@ -35,24 +35,22 @@ pub(crate) fn run_all(args: &RunJobsArgs) -> Result<(), Failure> {
     let interrupts = Interrupts::new()?;
     let store = Store::of(&args.at).make()?;
     let mut damages = Damages::default();
-    let (mut waiting, mut done, mut first) = (VecDeque::new(), 0, None);
+    let (mut waiting, mut done) = (VecDeque::new(), 0);
+    let mut largest = Largest::default();
     for line in Manifest::open(&args.at.manifest)?.lines()? {
         match line {
             Err(line) => damages.tell(&line.message),
             Ok(job) if store.is_done(&job.job) => done += 1,
             Ok(job) => {
                 waiting.push_back(Trial { index: job.index, number: 1 });
-                first.get_or_insert(job);
+                largest.look_at(&job.command);
             }
         }
     }
     let all = done + waiting.len();
-    if let Some(first) = first {
+    if !waiting.is_empty() {
         let cores = cores(args, waiting.len())?;
-        // A mistake in a job's input is that job's own failure; here it only hides how large its pipeline is.
-        let max_len =
-            config_of(&first.command).map_or(1, |config| config.fleet().max(config.learners()));
-        check_resources_of_pipelines(cores.len(), max_len)?;
+        check_resources_of_pipelines(cores.len(), largest.max_len)?;
         let engine = Engine::new(args, waiting)?;
         let mut progress = Progress::new(args.quiet, done, all);
         let failed = engine.run(&cores, &interrupts, &mut progress);
@@ -78,6 +76,33 @@ pub(crate) fn run_all(args: &RunJobsArgs) -> Result<(), Failure> {
     }
     say!("{done} of {all} jobs are done");
     damages.end()
+}
+
+/// How large the pipelines of the jobs are that are to run.
+#[derive(Debug, Default)]
+struct Largest {
+    /// Elements of the longest messages of any.
+    max_len: usize,
+    /// The last command without its seed: of jobs that differ in nothing else, one tells for all.
+    family: Vec<String>,
+    families: usize,
+}
+
+impl Largest {
+    /// Families that are looked at: resolving a configuration takes a millisecond.
+    const MOST_FAMILIES: usize = 1000;
+
+    fn look_at(&mut self, command: &[String]) {
+        let at = command.iter().position(|word| word == "--seed").unwrap_or(command.len());
+        let family = &command[..at];
+        if family == self.family || self.families == Self::MOST_FAMILIES {
+            return;
+        }
+        self.family = family.to_vec();
+        self.families += 1;
+        // A mistake in a job's input is that job's own failure; here it only hides how large its pipeline is.
+        self.max_len = self.max_len.max(resolve(command).map_or(1, |it| it.max_len()));
+    }
 }
 
 /// One core for each pipeline, those first that no other run has claimed.

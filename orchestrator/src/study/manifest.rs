@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use config::open_regular;
 use serde::{Deserialize, Serialize};
 
+use crate::study::axes::compared_over;
 use crate::words::Failure;
 
 /// The longest line that is read; that of a job has some 300 bytes.
@@ -57,9 +58,13 @@ impl Job {
         Ok(job)
     }
 
-    /// The command as it is typed into a shell.
+    /// The command as it is typed into a shell; what no option of it says follows as a comment.
     pub(crate) fn typed(&self) -> String {
-        format!("pathtune {}", shell_words::join(&self.command))
+        let typed = format!("pathtune {}", shell_words::join(&self.command));
+        match compared_over(&self.axes) {
+            Some(drives) => format!("{typed} # compared over {drives} drives"),
+            None => typed,
+        }
     }
 }
 

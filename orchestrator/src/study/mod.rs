@@ -8,6 +8,7 @@
 
 mod axes;
 mod collect;
+mod compared;
 mod identity;
 mod job;
 mod local;
@@ -23,20 +24,35 @@ mod store;
 
 use std::path::{Path, PathBuf};
 
+use config::RunConfig;
+use outcome::{CompareSubject, Compared, Course, StudyComparison, TunerCourses};
+
 use crate::cli::SweepCommand;
 use crate::pipeline::services::Services;
 use crate::study::manifest::Manifest;
 use crate::words::terminal::say;
 use crate::words::{Failure, print_line};
 
-/// Draws the page of a study beside its table.
-pub(crate) type Draw = fn(&Path) -> Result<PathBuf, String>;
+/// What a study needs of the parts that this library does not link.
+#[derive(Debug, Clone, Copy)]
+pub struct StudyTools {
+    /// Draws the page of a study beside the table of its jobs; returns the page's path.
+    pub draw: fn(&Path, &[StudyComparison]) -> Result<PathBuf, String>,
+    /// How the training of a configuration goes with this budget, in drives: what `compare` says of it.
+    pub course: fn(&RunConfig, u32) -> Result<Course, String>,
+    /// The comparison of trainings that have this in common.
+    pub joined: fn(CompareSubject, &[TunerCourses]) -> Compared,
+}
 
 /// `pathtune sweep`.
 ///
 /// # Errors
 /// As its parts.
-pub(crate) fn sweep(command: &SweepCommand, services: Services, draw: Draw) -> Result<(), Failure> {
+pub(crate) fn sweep(
+    command: &SweepCommand,
+    services: Services,
+    tools: StudyTools,
+) -> Result<(), Failure> {
     match command {
         SweepCommand::Plan { study, out } => plan::plan(study, out.as_deref()),
         SweepCommand::Jobs { at, index } => {
@@ -55,7 +71,7 @@ pub(crate) fn sweep(command: &SweepCommand, services: Services, draw: Draw) -> R
             damaged.end()
         }
         SweepCommand::Run(args) => match args.index {
-            Some(index) => job::run_job(args, index, services),
+            Some(index) => job::run_job(args, index, services, tools),
             None => local::run_all(args),
         },
         SweepCommand::Slurm(args) => print_line(scripts::slurm(args)?.trim_end()),
@@ -63,7 +79,7 @@ pub(crate) fn sweep(command: &SweepCommand, services: Services, draw: Draw) -> R
         SweepCommand::Kubernetes(args) => print_line(scripts::kubernetes(args)?.trim_end()),
         SweepCommand::Status { at, json } => status::status(at, *json),
         SweepCommand::Collect { at, out, parquet } => {
-            collect::collect(at, out.as_deref(), *parquet, draw)
+            collect::collect(at, out.as_deref(), *parquet, tools)
         }
     }
 }

@@ -15,7 +15,7 @@ use parquet::schema::types::Type;
 /// Rows that are in memory at once.
 const GROUP: usize = 1 << 16;
 /// Columns of words, whatever their cells look like.
-const WORDS: [&str; 4] = ["job", "gains", "digest", "state"];
+const WORDS: [&str; 5] = ["job", "gains", "resolved_gains", "digest", "state"];
 
 /// What all cells of a column are, but for the empty ones, which are null.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use config::read_small;
 
 use crate::study::axes::{Choice, Study};
-use crate::study::identity::{Family, config_of};
+use crate::study::identity::{Family, resolve};
 use crate::study::manifest::{self, Job};
 use crate::words::Failure;
 use crate::words::terminal::say;
@@ -40,8 +40,15 @@ pub(crate) fn plan(file: &Path, out: Option<&Path>) -> Result<(), Failure> {
     let mut families = Vec::new();
     study.for_each_family(named, |choice: &Choice, _| {
         families.push(
-            config_of(&choice.command)
-                .map(|config| (Family::of(&config), config.run.seed))
+            resolve(&choice.command)
+                .and_then(|resolved| {
+                    let compared = choice.compared_over();
+                    if compared.is_some() && resolved.plan.is_some() {
+                        let why = "compare: a validation has no tuner to compare; leave it out";
+                        return Err(Failure::User(why.to_owned()));
+                    }
+                    Ok((Family::of(&resolved).compared(compared), resolved.config.run.seed))
+                })
                 .map_err(|failure| failure.with(|why| format!("{}: {why}", file.display())))?,
         );
         Ok::<(), Failure>(())

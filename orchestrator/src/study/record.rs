@@ -3,7 +3,7 @@
 //! A record has two parts. [`Figures`] is what configuration and seed decide: the same bytes wherever and however often
 //! the job was tried. [`Trial`] says how it went. A checksum over the first tells a damaged record from a whole one.
 
-use outcome::{Outcome, RunResult};
+use outcome::{Course, Measures, Outcome, RunResult, TrainResult, ValidatedRow};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -30,7 +30,7 @@ pub(crate) struct Record {
 }
 
 /// What configuration and seed decide of a job.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Figures {
     pub(crate) maneuver: String,
     pub(crate) vehicle: String,
@@ -61,6 +61,76 @@ pub(crate) struct Figures {
     pub(crate) random_walk_value: Option<f64>,
     pub(crate) asked: u64,
     pub(crate) distinct: u64,
+    /// Of a validation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) noisy: Option<NoisyFigures>,
+    /// How the training went, by true values, if the study compares it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) course: Option<Course>,
+}
+
+/// The drives with noise of a validated set.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct NoisyFigures {
+    pub(crate) mse_m2_mean: f64,
+    pub(crate) mse_m2_worst: f64,
+    pub(crate) path_mean_m: f64,
+    pub(crate) path_max_m: f64,
+    pub(crate) collisions: u32,
+}
+
+impl Figures {
+    /// Those of a drive; what else belongs to a job is left empty.
+    fn of_drive(it: &Measures) -> Self {
+        Self {
+            value: it.value,
+            distance: it.distance,
+            mse_m2: it.mse_m2,
+            path_mean_m: it.path_mean_m,
+            path_p95_m: it.path_p95_m,
+            path_max_m: it.path_max_m,
+            arrived: it.arrived,
+            ..Self::default()
+        }
+    }
+
+    fn of_training(it: &TrainResult) -> Self {
+        let beside = |set: &Option<outcome::Beside>| set.as_ref().map(|it| it.set.measures.value);
+        Self {
+            tuner: it.tuner.clone(),
+            digest: it.digest.clone(),
+            gains: serde_json::to_string(&it.gains).expect("plain data"),
+            on_bound: it.on_bound.clone(),
+            grid_size: it.grid.map(|grid| grid.size),
+            rank_value: it.grid.map(|grid| grid.rank_value),
+            rank_mean: it.grid.and_then(|grid| grid.rank_mean),
+            best_value: it.grid.map(|grid| grid.best_value),
+            paper_value: it.paper.as_ref().map(|set| set.measures.value),
+            plain_q_value: beside(&it.plain_q),
+            random_walk_value: beside(&it.random_walk),
+            asked: it.asked,
+            distinct: it.distinct,
+            ..Self::of_drive(&it.measures)
+        }
+    }
+
+    fn of_validation(row: &ValidatedRow, digest: &str, asked: u64) -> Self {
+        let noisy = &row.noisy;
+        Self {
+            digest: digest.to_owned(),
+            gains: serde_json::to_string(&row.gains).expect("plain data"),
+            asked,
+            distinct: asked,
+            noisy: Some(NoisyFigures {
+                mse_m2_mean: noisy.mse_m2_mean,
+                mse_m2_worst: noisy.mse_m2_worst,
+                path_mean_m: noisy.path_mean_m,
+                path_max_m: noisy.path_max_m,
+                collisions: noisy.collisions,
+            }),
+            ..Self::of_drive(&row.noise_free.measures)
+        }
+    }
 }
 
 /// How the trial went that came to the end.
@@ -76,52 +146,36 @@ pub(crate) struct Trial {
 }
 
 impl Record {
-    /// The record of a job's result; `outcome` holds the bytes of `outcome.json`.
+    /// The record of a job's result; `outcome` holds the bytes of `outcome.json`, `course` what a comparison says of it.
     ///
     /// # Errors
-    /// If it is no result of a training.
+    /// If it is no result of a job.
     pub(crate) fn of(
         job: &str,
         result: &RunResult,
         outcome: &[u8],
+        course: Option<Course>,
         host: &str,
     ) -> Result<Self, String> {
         let decided = &result.decided;
-        let Outcome::Train(it) = &decided.outcome else {
-            return Err(format!(
-                "is the result of a {}, not of a training",
-                decided.outcome.kind()
-            ));
-        };
-        let beside = |set: &Option<outcome::Beside>| set.as_ref().map(|it| it.set.measures.value);
         let hash = Sha256::digest(outcome);
+        let of_outcome = match &decided.outcome {
+            Outcome::Train(it) => Figures::of_training(it),
+            Outcome::Validate(it) => match &it.rows[..] {
+                [row] => Figures::of_validation(row, &it.digest, result.drives.asked),
+                _ => return Err("is the validation of several sets".to_owned()),
+            },
+            other => return Err(format!("is the result of a {}", other.kind())),
+        };
         let figures = Figures {
             maneuver: decided.maneuver.clone(),
             vehicle: decided.vehicle.clone(),
             law: decided.law.clone(),
             objective: decided.objective.clone(),
-            tuner: it.tuner.clone(),
             seed: decided.seed,
-            digest: it.digest.clone(),
             outcome: hash.iter().map(|byte| format!("{byte:02x}")).collect(),
-            gains: serde_json::to_string(&it.gains).expect("plain data"),
-            on_bound: it.on_bound.clone(),
-            value: it.measures.value,
-            distance: it.measures.distance,
-            mse_m2: it.measures.mse_m2,
-            path_mean_m: it.measures.path_mean_m,
-            path_p95_m: it.measures.path_p95_m,
-            path_max_m: it.measures.path_max_m,
-            arrived: it.measures.arrived,
-            grid_size: it.grid.map(|grid| grid.size),
-            rank_value: it.grid.map(|grid| grid.rank_value),
-            rank_mean: it.grid.and_then(|grid| grid.rank_mean),
-            best_value: it.grid.map(|grid| grid.best_value),
-            paper_value: it.paper.as_ref().map(|set| set.measures.value),
-            plain_q_value: beside(&it.plain_q),
-            random_walk_value: beside(&it.random_walk),
-            asked: it.asked,
-            distinct: it.distinct,
+            course,
+            ..of_outcome
         };
         let run = &result.run;
         let trial = Trial {
@@ -217,6 +271,8 @@ pub(crate) mod tests {
             random_walk_value: Some(value),
             asked: 15_117,
             distinct: 695,
+            noisy: None,
+            course: None,
         };
         let trial = Trial {
             host: "here".to_owned(),

@@ -1,6 +1,6 @@
 //! The table of `pathtune compare`.
 
-use outcome::{CompareResult, CompareRow, Quantile, Share};
+use outcome::{CompareResult, CompareRow, Quantile};
 
 use crate::words::Failure;
 use crate::words::tables::table_of;
@@ -33,14 +33,14 @@ pub(crate) fn print(it: &CompareResult) -> Result<(), Failure> {
     let mut table = table_of(&header);
     for tuner in &it.tuners {
         let (near, top) = (&tuner.to_within_2_percent, &tuner.to_top_1_percent);
-        let drives = |quantile: &Quantile| drives(quantile, it.drives);
+        let drives = |quantile: &Quantile| quantile.as_drives(it.drives);
         table.add_row([
             tuner.tuner.clone(),
             drives(&near.median),
             drives(&near.q95),
             drives(&top.median),
             drives(&top.q95),
-            percent(&top.reached),
+            top.reached.as_percent(),
         ]);
     }
     say!("{table}");
@@ -56,9 +56,9 @@ pub(crate) fn print(it: &CompareResult) -> Result<(), Failure> {
     for tuner in &it.tuners {
         let mut cells = vec![tuner.tuner.clone()];
         for after in &tuner.after {
-            cells.push(regret(&after.regret_median));
-            cells.push(regret(&after.regret_q95));
-            cells.push(percent(&after.within_5_percent));
+            cells.push(after.regret_median.as_percent());
+            cells.push(after.regret_q95.as_percent());
+            cells.push(after.within_5_percent.as_percent());
         }
         table.add_row(cells);
     }
@@ -91,26 +91,4 @@ pub(crate) fn csv(it: &CompareResult, rows: &[CompareRow]) -> String {
         text += &format!("\n{},{},{near},{top}{regret}", row.tuner, row.seed);
     }
     text
-}
-
-/// `9 [8, 11]`; what lies beyond the budget as `> 60`.
-fn drives(it: &Quantile, budget: u32) -> String {
-    let one = |value: Option<f64>| value.map_or(format!("> {budget}"), |it| it.to_string());
-    match (it.value, it.low) {
-        (None, None) => one(None),
-        _ => format!("{} [{}, {}]", one(it.value), one(it.low), one(it.high)),
-    }
-}
-
-/// `3.1 % [2.0, 4.4]`; an end that the seeds do not tell as a dash.
-fn regret(it: &Quantile) -> String {
-    let one =
-        |value: Option<f64>| value.map_or("–".to_owned(), |it| format!("{:.1}", 100.0 * it));
-    format!("{} % [{}, {}]", one(it.value), one(it.low), one(it.high))
-}
-
-/// `92 % [88, 95]`.
-fn percent(it: &Share) -> String {
-    let [share, low, high] = [it.share, it.low, it.high].map(|it| format!("{:.0}", 100.0 * it));
-    format!("{share} % [{low}, {high}]")
 }

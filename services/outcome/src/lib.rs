@@ -27,7 +27,8 @@ use serde::{Deserialize, Serialize};
 
 pub use baselines::{Baseline, Baselines, TradeOff, TradedSet};
 pub use comparison::{
-    AfterDrives, CompareResult, CompareRow, DrivesTo, Quantile, Share, TunerComparison,
+    AfterDrives, CompareResult, CompareRow, CompareSubject, Compared, Course, DrivesTo, Quantile,
+    Share, StudyComparison, TunerComparison, TunerCourses,
 };
 pub use drive::{Fastest, InEnvelope, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};

@@ -84,6 +84,16 @@ pub(crate) fn curve(
         let look = single(GREY, Marker::Triangle);
         lines.push(Line::new("the paper’s set", [place(&paper.measures)], look));
     }
+    // Those of another law's training stand among the textbook sets.
+    let beside = train.baselines.iter().flat_map(|it| &it.sets);
+    for (index, set) in beside.filter(|_| train.paper.is_none()).enumerate() {
+        let name = match set.law.as_str() {
+            "paper" => name_of(set).replacen("paper", "the paper’s set", 1),
+            _ => format!("textbook {}", name_of(set)),
+        };
+        let look = single(GREY, Marker::ALL[(index + 1) % Marker::ALL.len()]);
+        lines.push(Line::new(name, [place(&set.measures)], look));
+    }
     let points = curve.sets.iter().map(|it| (it.steering_travel_radps, it.distance_m));
     let look = Stroke { marker: Some(Marker::Disc), ..Stroke::solid(NAVY, 1.5) };
     lines.push(Line::new("best of the grid", points, look));

@@ -10,6 +10,7 @@ mod axis;
 mod baselines;
 mod canvas;
 mod chart;
+mod compared;
 mod decimate;
 mod drive;
 mod drives;
@@ -35,7 +36,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use config::RunConfig;
-use outcome::{Outcome, RunResult};
+use outcome::{Outcome, RunResult, StudyComparison};
 
 use canvas::Picture;
 pub use error::ReportError;
@@ -98,12 +99,13 @@ fn write_pages(folder: &Path, html: &str, pictures: &[Picture]) -> Result<PathBu
     Ok(index)
 }
 
-/// Writes the page of a study beside its table, which `pathtune sweep collect` has written, and returns the page's path.
+/// Writes the page of a study beside its table, which `pathtune sweep collect` has written, with the comparisons of its
+/// tuners, and returns the page's path.
 ///
 /// # Errors
 /// If the table is not what a collection writes, or the page cannot be written.
-pub fn write_study(table: &Path) -> Result<PathBuf, ReportError> {
-    let (html, _) = study::page_of(table)?;
+pub fn write_study(table: &Path, compared: &[StudyComparison]) -> Result<PathBuf, ReportError> {
+    let (html, _) = study::page_of(table, compared)?;
     let page = table.with_extension("html");
     replace(&page, &html)?;
     Ok(page)

@@ -8,11 +8,13 @@ use std::path::Path;
 
 use config::open_regular;
 use maud::{Markup, html};
+use outcome::StudyComparison;
 
 use crate::ReportError;
 use crate::axis::{Axis, integer, number};
 use crate::canvas::{Marker, Picture, Stroke, WIDE};
 use crate::chart::{Chart, Line};
+use crate::compared;
 use crate::page::{Page, table};
 
 /// The most groups in one picture: a legend of more is as tall as the picture.
@@ -43,7 +45,10 @@ struct Study {
 }
 
 /// The page of the study whose table this is, and its pictures.
-pub(crate) fn page_of(path: &Path) -> Result<(String, Vec<Picture>), ReportError> {
+pub(crate) fn page_of(
+    path: &Path,
+    comparisons: &[StudyComparison],
+) -> Result<(String, Vec<Picture>), ReportError> {
     let study = read(path)?;
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
     let (mut done, mut missing) = (0, Vec::new());
@@ -87,6 +92,7 @@ pub(crate) fn page_of(path: &Path) -> Result<(String, Vec<Picture>), ReportError
         }
     }
     page.section("Values", html! { div.figures { @for figure in figures { (figure) } } });
+    compared::sections(&mut page, comparisons)?;
     Ok(page.finish_without_config())
 }
 
@@ -249,7 +255,7 @@ mod tests {
         assert_eq!(study.axes, ["law"]);
         assert_eq!(study.groups[0].summary().join(" "), "1.0000 1.0000 0.5000 1.5000 1 of 2");
         assert_eq!(study.groups[1].summary().join(" "), "– – – – –");
-        let (html, pictures) = page_of(&path).unwrap();
+        let (html, pictures) = page_of(&path, &[]).unwrap();
         assert_eq!(pictures.len(), 2);
         assert!(html.contains("1: 3"), "{html}");
         assert!(html.contains("&lt;b&gt;") && !html.contains("<b>,"), "{html}");
@@ -260,7 +266,7 @@ mod tests {
             ("1,b,done,", "1,b,", "laws.csv:3: "),
         ] {
             fs::write(&path, text.replacen(from, to, 1)).unwrap();
-            let why = page_of(&path).unwrap_err().to_string();
+            let why = page_of(&path, &[]).unwrap_err().to_string();
             assert!(why.contains(part) && !why.contains('\n'), "{why}");
         }
     }

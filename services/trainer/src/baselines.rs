@@ -8,13 +8,13 @@ use crate::Ranking;
 use crate::over::PlantRollouts;
 use crate::ranking::measures_of;
 
-/// The textbook sets beside one with these measures; `None` where the paper's figures are the yardstick.
+/// The textbook sets beside one with these measures; `None` for the paper's law where its figures are the yardstick.
 pub(crate) fn baselines(
     config: &RunConfig,
     objective: &Objective,
     tuned: &Measures,
 ) -> Option<Baselines> {
-    if has_the_paper_as_yardstick(config) {
+    if config.has_figures_of_the_paper() {
         return None;
     }
     let weight = config.learning.heading_weight;
@@ -32,13 +32,6 @@ pub(crate) fn baselines(
         })
         .collect();
     Some(against(sets, config.is_to_arrive(), tuned))
-}
-
-/// Whether path and car are the paper's: then its own figures are what a set is compared with, whatever the law.
-fn has_the_paper_as_yardstick(config: &RunConfig) -> bool {
-    let mut of_paper = config.clone();
-    of_paper.law.name = config::paper_law().name;
-    of_paper.has_figures_of_the_paper()
 }
 
 /// The sets, with the verdict on the tuned one.
@@ -127,8 +120,13 @@ mod tests {
     #[test]
     fn textbook_sets_are_driven_where_the_paper_has_no_figures() {
         let objective = |config: &RunConfig| Objective::new(config);
-        let papers = config("lane_change", &["law_preset=stanley"]);
+        let papers = config("lane_change", &[]);
         assert_eq!(baselines(&papers, &objective(&papers), &measures(0.1, false)), None);
+        // Another law on the paper's path stands beside the paper's set, too.
+        let other = config("lane_change", &["law_preset=stanley"]);
+        let beside = baselines(&other, &objective(&other), &measures(0.0, false)).unwrap();
+        let papers = beside.sets.iter().find(|it| it.law == "paper").unwrap();
+        assert_eq!(papers.gains.get("kv"), Some(3.0));
         let late = config("smooth_lane", &["vehicle.steering_delay_s=0.2", "law_preset=stanley"]);
         let beside = baselines(&late, &objective(&late), &measures(0.0, true)).unwrap();
         assert_eq!(beside.sets.len(), 6);

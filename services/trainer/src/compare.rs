@@ -10,7 +10,10 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use config::{MAX_PARAMETERS, Parameters, RunConfig};
-use outcome::{AfterDrives, CompareResult, CompareRow, DrivesTo, SCHEMA, TunerComparison};
+use outcome::{
+    AfterDrives, CompareResult, CompareRow, CompareSubject, Compared, Course, DrivesTo, SCHEMA,
+    TunerComparison, TunerCourses,
+};
 use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
@@ -37,15 +40,6 @@ const SEEDS_OF_BEST: Range<u64> = SEEDS_OF_TRUTH.end..SEEDS_OF_TRUTH.end + DRIVE
 /// Drives after which it is asked what a tuner recommends, as far as the budget reaches; and after the last one.
 const MARKS: [u32; 4] = [10, 20, 30, 60];
 
-/// A comparison, and each of its trainings.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Compared {
-    /// What is printed.
-    pub result: CompareResult,
-    /// The trainings: tuner by tuner, seed by seed.
-    pub rows: Vec<CompareRow>,
-}
-
 /// Compares the tuners of some configurations that differ in nothing else, each with `seeds` seeds from `run.seed` on and
 /// `drives` drives. Tells `each` what is under way, and how many of its seeds are done.
 ///
@@ -61,69 +55,96 @@ pub fn compare(
     mut each: impl FnMut(&str, u64),
 ) -> Result<Compared, String> {
     let config = &configs[0];
-    if !grid_is_driven(config) {
-        return Err(format!(
-            "ranking.max_ticks: is {}, but the grid of {} sets takes {} ticks; raise it, or use larger steps",
-            config.ranking.max_ticks,
-            config.grid().len(),
-            config.ticks() * config.grid().len() as u64
-        ));
-    }
-    let marks: Vec<u32> = MARKS.into_iter().filter(|mark| *mark < drives).chain([drives]).collect();
+    check_grid(config)?;
     let mut yardstick = Yardstick::new(config);
-    let mut courses: Vec<Vec<Course>> = Vec::new();
+    let mut tuners: Vec<TunerCourses> = Vec::new();
     for config in configs {
         let mut of_tuner = Vec::new();
         for number in 0..seeds {
             each(&config.learning.tuner, number);
             let mut config = config.clone();
             config.run.seed = config.run.seed.wrapping_add(number);
-            of_tuner.push(yardstick.train(&config, drives as usize, &marks));
+            of_tuner.push((config.run.seed, yardstick.course(&config, drives)));
         }
         each(&config.learning.tuner, seeds);
-        courses.push(of_tuner);
+        tuners.push((config.learning.tuner.clone(), of_tuner));
     }
-    let (best_value, best) = yardstick.best;
-    let goals = [1.02 * best_value, yardstick.top_percent()];
-    let mut rows = Vec::new();
-    let mut tuners = Vec::new();
-    for (config, courses) in configs.iter().zip(&courses) {
-        let of_tuner: Vec<CompareRow> = (0u64..)
-            .zip(courses)
-            .map(|(number, course)| CompareRow {
-                tuner: config.learning.tuner.clone(),
-                seed: config.run.seed.wrapping_add(number),
-                to_within_2_percent: course.drives_to(goals[0]),
-                to_top_1_percent: course.drives_to(goals[1]),
-                // Under noise a set whose value is the mean over fewer drives may seem better than the best.
-                regret: course
-                    .recommended
-                    .iter()
-                    .map(|it| (it / best_value - 1.0).max(0.0))
-                    .collect(),
-            })
-            .collect();
-        tuners.push(summary(&config.learning.tuner, &of_tuner, &marks));
-        rows.extend(of_tuner);
-    }
-    let result = CompareResult {
-        schema: SCHEMA,
+    let subject = CompareSubject {
         maneuver: config.maneuver.clone(),
         vehicle: config.vehicle.name.clone(),
         law: config.law.name.clone(),
         objective: config.objective.name.clone(),
-        first_seed: config.run.seed,
-        seeds,
-        drives,
-        noise: config.noise.enabled,
-        plants: config.plants(),
-        drives_of_truth: yardstick.drives_of_truth(),
-        grid_size: yardstick.of_grid.len(),
-        best_value,
-        best_gains: config.law.named(&best),
-        tuners,
     };
-    Ok(Compared { result, rows })
+    Ok(joined(subject, &tuners))
+}
+
+/// The course of one training with this budget: that of a comparison with this configuration alone.
+///
+/// # Errors
+/// As [`compare`].
+pub fn course(config: &RunConfig, drives: u32) -> Result<Course, String> {
+    check_grid(config)?;
+    let mut config = config.clone();
+    // By plain calls the same drive is the same again.
+    config.run.memo = true;
+    Ok(Yardstick::new(&config).course(&config, drives))
+}
+
+fn check_grid(config: &RunConfig) -> Result<(), String> {
+    if grid_is_driven(config) {
+        return Ok(());
+    }
+    Err(format!(
+        "ranking.max_ticks: is {}, but the grid of {} sets takes {} ticks; raise it, or use larger steps",
+        config.ranking.max_ticks,
+        config.grid().len(),
+        config.ticks() * config.grid().len() as u64
+    ))
+}
+
+/// The comparison of trainings that have this in common, with as many seeds for each tuner, and the same budget and marks.
+///
+/// # Panics
+/// If there is no training.
+pub fn joined(subject: CompareSubject, tuners: &[TunerCourses]) -> Compared {
+    let all = || tuners.iter().flat_map(|(_, courses)| courses);
+    let (first_seed, first) = all().next().expect("a training");
+    // Trainings between the sets of the grid may know different best sets.
+    let best = all().map(|(_, it)| it).min_by(|a, b| a.best_value.total_cmp(&b.best_value));
+    let (best_value, best_gains) =
+        best.map(|it| (it.best_value, it.best_gains.clone())).expect("a training");
+    let near = Course::within_2_percent_value(best_value);
+    let (mut rows, mut told) = (Vec::new(), Vec::new());
+    for (tuner, courses) in tuners {
+        let row = |(seed, course): &(u64, Course)| CompareRow {
+            tuner: tuner.clone(),
+            seed: *seed,
+            to_within_2_percent: course.drives_to(near),
+            to_top_1_percent: course.drives_to(course.top_1_percent_value),
+            regret: course.recommended.iter().map(|it| Course::regret(*it, best_value)).collect(),
+        };
+        let of_tuner: Vec<CompareRow> = courses.iter().map(row).collect();
+        told.push(summary(tuner, &of_tuner, &first.marks));
+        rows.extend(of_tuner);
+    }
+    let result = CompareResult {
+        schema: SCHEMA,
+        maneuver: subject.maneuver,
+        vehicle: subject.vehicle,
+        law: subject.law,
+        objective: subject.objective,
+        first_seed: *first_seed,
+        seeds: tuners[0].1.len() as u64,
+        drives: first.drives,
+        noise: first.drives_of_truth > 1,
+        plants: first.plants,
+        drives_of_truth: first.drives_of_truth,
+        grid_size: first.grid_size,
+        best_value,
+        best_gains,
+        tuners: told,
+    };
+    Compared { result, rows }
 }
 
 fn summary(tuner: &str, rows: &[CompareRow], marks: &[u32]) -> TunerComparison {
@@ -151,18 +172,6 @@ fn summary(tuner: &str, rows: &[CompareRow], marks: &[u32]) -> TunerComparison {
         to_within_2_percent: drives_to(|row| row.to_within_2_percent),
         to_top_1_percent: drives_to(|row| row.to_top_1_percent),
         after: marks.iter().enumerate().map(after).collect(),
-    }
-}
-
-/// The true values of what one training drove, in the order of its drives, and of what it recommended at each mark.
-struct Course {
-    driven: Vec<f64>,
-    recommended: Vec<f64>,
-}
-
-impl Course {
-    fn drives_to(&self, goal: f64) -> Option<u32> {
-        self.driven.iter().position(|value| *value <= goal).map(|before| before as u32 + 1)
     }
 }
 
@@ -333,12 +342,14 @@ impl Yardstick {
     }
 
     /// One training, until it ends or its budget does.
-    fn train(&mut self, config: &RunConfig, drives: usize, marks: &[u32]) -> Course {
+    fn course(&mut self, config: &RunConfig, drives: u32) -> Course {
+        let marks: Vec<u32> =
+            MARKS.into_iter().filter(|mark| *mark < drives).chain([drives]).collect();
         let mut training = Training::new(config, self.objective);
         while training.prepare().expect("some set may be driven") < 1.0 {}
         // The noise over plants is that of the training's own seed.
         let mut own = config.is_noisy_over_plants().then(|| PlantRollouts::new(config));
-        let mut course = Course { driven: Vec::new(), recommended: Vec::new() };
+        let (mut driven, mut better, mut recommended) = (0, Vec::<(u32, f64)>::new(), Vec::new());
         'drives: loop {
             training.remember(usize::MAX, |_| {});
             let wanted = training.wanted();
@@ -346,23 +357,39 @@ impl Yardstick {
                 break;
             }
             for ask in wanted {
-                if course.driven.len() == drives {
+                if driven == drives {
                     break 'drives;
                 }
                 let drive = self.drive(&ask, own.as_mut());
                 training.take(ask.learner, ask.step, drive);
-                course.driven.push(self.truth(&ask.parameters));
-                if marks.get(course.recommended.len()) == Some(&(course.driven.len() as u32)) {
+                driven += 1;
+                let value = self.truth(&ask.parameters);
+                if better.last().is_none_or(|(_, least)| value < *least) {
+                    better.push((driven, value));
+                }
+                if marks.get(recommended.len()) == Some(&driven) {
                     let set = training.tuner().recommend(&by_values);
-                    course.recommended.push(self.truth(&set));
+                    recommended.push(self.truth(&set));
                 }
             }
         }
         // One that ended early recommends the same ever after.
         let set = training.tuner().recommend(&by_values);
         let value = self.truth(&set);
-        course.recommended.resize(marks.len(), value);
-        course
+        recommended.resize(marks.len(), value);
+        let (best_value, best) = self.best;
+        Course {
+            drives,
+            plants: config.plants(),
+            drives_of_truth: self.drives_of_truth(),
+            grid_size: self.of_grid.len(),
+            best_value,
+            best_gains: config.law.named(&best),
+            top_1_percent_value: self.top_percent(),
+            better,
+            marks,
+            recommended,
+        }
     }
 }
 
