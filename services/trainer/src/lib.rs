@@ -7,6 +7,8 @@
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+#[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
+mod along;
 mod baselines;
 pub mod calibration;
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]

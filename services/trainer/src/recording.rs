@@ -1,12 +1,11 @@
 //! Records drives tick by tick; the figures are drawn from these recordings. In lockstep there is no gap; by the clock a
-//! tick is missing if not every process sent a message of it.
+//! tick is missing if not every process sent a message of it. Rows are written as they come, and not kept.
 
-use std::collections::VecDeque;
-use std::fs;
-use std::path::Path;
+use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use ipc_types::{
     BatchHeader, Command, Credit, DriveRequest, Message, Odometry, TickHeader, TrackingError, has,
 };
@@ -14,6 +13,8 @@ use runtime::clock::now_ns;
 use runtime::{Bus, Inlet, Outlet, Received};
 use serde::Serialize;
 use tracking::{Pose, tracking_error};
+
+use crate::along::{Growing, Sums};
 
 /// One tick of a recorded drive: a line of its CSV file.
 ///
@@ -65,6 +66,11 @@ pub(crate) struct Recorder {
     errors: JoinedTopic<TrackingError>,
     commands: JoinedTopic<Command>,
     credits: Outlet<Credit>,
+    /// Where recordings are written, and the names of their files by the drives' learners.
+    folder: PathBuf,
+    names: BTreeMap<u32, String>,
+    /// What is added up of each recording, before its first row.
+    sums: Sums,
     batch: BatchHeader,
     next: Option<NextBatch>,
     /// The slots that are recorded, each with its learner, its step and what was recorded.
@@ -84,7 +90,7 @@ struct Recorded {
     slot: usize,
     learner: u32,
     step: u32,
-    rows: Vec<Row>,
+    growing: Growing,
     /// Whether somebody has the recording already.
     is_taken: bool,
 }
@@ -138,8 +144,18 @@ impl<M: Message<Header = TickHeader>> JoinedTopic<M> {
 }
 
 impl Recorder {
-    pub(crate) fn new(bus: &Bus, run: u64, tick_s: f64) -> Result<Self> {
+    /// Before the first request. The files are written below the run's folder, and named by the drives' learners.
+    pub(crate) fn new(
+        bus: &Bus,
+        run: u64,
+        tick_s: f64,
+        (folder, names): (&Path, BTreeMap<u32, String>),
+        sums: Sums,
+    ) -> Result<Self> {
         Ok(Self {
+            folder: folder.join(DRIVES_FOLDER),
+            names,
+            sums,
             run,
             tick_s,
             requests: bus.inlet()?,
@@ -171,7 +187,7 @@ impl Recorder {
         let mut any = self.odometry.take(*batch, slots)?;
         any |= self.errors.take(*batch, slots)?;
         any |= self.commands.take(*batch, slots)?;
-        self.join_topics();
+        self.join_topics()?;
         if self.ticks >= self.credited + CREDIT_EVERY {
             self.credited = self.ticks;
             let header = BatchHeader { flags: 0, sent_ns: now_ns(), ..self.batch };
@@ -197,17 +213,16 @@ impl Recorder {
                 .iter()
                 .enumerate()
                 .filter(|(_, request)| has(request.flags, DriveRequest::RECORDED))
-                .map(|(slot, request)| Recorded {
-                    slot,
-                    learner: request.learner,
-                    step: request.step,
-                    rows: Vec::with_capacity(request.ticks as usize),
-                    is_taken: false,
+                .filter_map(|(slot, &DriveRequest { learner, step, .. })| {
+                    // A drive that a predecessor asked for has no name.
+                    let part = self.folder.join(format!("{}.part", self.names.get(&learner)?));
+                    let growing = Growing::new(part, self.sums.clone());
+                    Some(Recorded { slot, learner, step, growing, is_taken: false })
                 }),
         );
     }
 
-    fn join_topics(&mut self) {
+    fn join_topics(&mut self) -> Result<()> {
         let (odometry, errors, commands) =
             (&mut self.odometry.taken, &mut self.errors.taken, &mut self.commands.taken);
         while let (Some((seen, _)), Some((erred, _)), Some((given, _))) =
@@ -225,34 +240,52 @@ impl Recorder {
             let (Some((_, odometry)), Some((_, errors)), Some((_, commands))) = next else { break };
             let all = odometry.iter().zip(&errors).zip(&commands);
             for (slot, ((odometry, error), command)) in self.slots.iter_mut().zip(all) {
-                slot.rows.push(row(tick, self.tick_s, odometry, error, command));
+                slot.growing.add(&row(tick, self.tick_s, odometry, error, command))?;
             }
             self.ticks = tick + 1;
         }
+        Ok(())
     }
 
-    /// The recording of a drive that lasted `ticks`: once it is complete, or as far as there is one.
+    /// Whether anything of a drive was recorded and not taken.
+    pub(crate) fn has_rows(&self, learner: u32, step: u32) -> bool {
+        let is_it = |it: &Recorded| (it.learner, it.step) == (learner, step);
+        self.slots.iter().any(|it| is_it(it) && !it.is_taken && it.growing.rows > 0)
+    }
+
+    /// The recording of a drive that lasted `ticks`, under its name: once it is complete, or as far as there is one.
     pub(crate) fn take(
         &mut self,
         learner: u32,
         step: u32,
         ticks: u64,
         must_be_whole: bool,
-    ) -> Option<Vec<Row>> {
+    ) -> Result<Option<Taken>> {
+        let name = self.names.get(&learner).cloned().unwrap_or_default();
         let slot = self.slots.iter_mut().find(|it| (it.learner, it.step) == (learner, step));
-        let Some(slot) = slot else { return if must_be_whole { None } else { Some(Vec::new()) } };
-        if must_be_whole && (slot.rows.len() as u64) < ticks {
-            return None;
-        }
-        // The other vehicles of the batch may drive on; this one has stood still since.
-        slot.is_taken = true;
-        let mut rows = std::mem::take(&mut slot.rows);
-        rows.truncate(ticks as usize);
-        // By the clock the vehicle goes on after its end.
-        let end = rows.iter().position(|row| has(row.flags, Command::ENDED));
-        rows.truncate(end.map_or(rows.len(), |last| last + 1));
-        Some(rows)
+        let mut none = Growing::new(self.folder.join(format!("{name}.part")), Sums::default());
+        let growing = match slot {
+            // The other vehicles of the batch may drive on; this one has stood still since.
+            Some(slot) if !must_be_whole || slot.growing.is_whole(ticks) => {
+                slot.is_taken = true;
+                &mut slot.growing
+            }
+            None if !must_be_whole => &mut none,
+            _ => return Ok(None),
+        };
+        growing.keep(&self.folder.join(format!("{name}.csv")))?;
+        let (rows, next_tick) = (growing.rows, growing.next_tick);
+        Ok(Some(Taken { name, rows, next_tick, sums: std::mem::take(&mut growing.sums) }))
     }
+}
+
+/// A recording that has its name.
+pub(crate) struct Taken {
+    pub(crate) name: String,
+    pub(crate) rows: u64,
+    /// The tick after the last one that was recorded.
+    pub(crate) next_tick: u64,
+    pub(crate) sums: Sums,
 }
 
 /// Drops the elements of earlier ticks.
@@ -321,21 +354,3 @@ fn row(
 
 /// Folder of the recorded drives in the run's folder.
 pub(crate) const DRIVES_FOLDER: &str = "drives";
-
-/// Writes a recording, so that nobody reads half of it.
-pub(crate) fn write(run: &Path, name: &str, rows: &[Row]) -> Result<()> {
-    let folder = run.join(DRIVES_FOLDER);
-    let path = folder.join(format!("{name}.csv"));
-    let part = folder.join(format!("{name}.part"));
-    let write = || -> Result<()> {
-        fs::create_dir_all(&folder)?;
-        let mut writer = csv::Writer::from_path(&part)?;
-        for row in rows {
-            writer.serialize(row)?;
-        }
-        writer.flush()?;
-        drop(writer);
-        Ok(fs::rename(&part, &path)?)
-    };
-    write().with_context(|| format!("failed to write {}", path.display()))
-}

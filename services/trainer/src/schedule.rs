@@ -17,11 +17,12 @@ use outcome::{Outcome, PlantCheck, Switch};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 
+use crate::along::SingleSums;
 use crate::grid::GridSweep;
 use crate::own_drives::Driver;
 use crate::result::decided;
 use crate::service::write_outcome;
-use crate::single::{SingleDrive, fastest, in_envelope};
+use crate::single::SingleDrive;
 use crate::sweeping::{Place, Progress, Sweeping};
 use crate::validation::Validation;
 use crate::wire::Driven;
@@ -109,6 +110,10 @@ impl Schedule {
             tick_s: config.drive.tick_s,
             ticks: config.ticks(),
             laps: crate::sweeping::laps_of(&config),
+            single: match &subject {
+                Subject::Drive(_) => Some(Box::new(SingleSums::new(&config))),
+                _ => None,
+            },
             // A drive in real time goes on without this process, and is not made again.
             incarnation: if plan.realtime { 0 } else { attachment.incarnation },
         };
@@ -269,7 +274,8 @@ impl Schedule {
         if let Subject::Drive(drive) = &self.subject
             && driven[0].is_none()
         {
-            driven[0] = drive.interrupted(&self.sweeping.cut_recording(0)?);
+            let sums = self.sweeping.cut_recording(0)?;
+            driven[0] = sums.and_then(|sums| drive.interrupted(sums));
         }
         let Some(mut outcome) = self.outcome(&driven)? else { return Ok(()) };
         if let Outcome::Drive(drive) = &mut outcome {
@@ -312,9 +318,10 @@ impl Schedule {
             Subject::Drive(drive) => driven[0].map(|driven| {
                 let switches = self.switches.remove(&0).unwrap_or_default();
                 let mut result = drive.result(&driven, switches);
-                result.fastest = fastest(&self.config, self.sweeping.last_rows());
+                let sums = self.sweeping.single();
+                result.fastest = sums.and_then(SingleSums::fastest);
                 result.envelope =
-                    in_envelope(&self.config, self.sweeping.last_rows(), driven.record.stopped_for);
+                    sums.and_then(|it| it.in_envelope(&self.config, driven.record.stopped_for));
                 result.drives_recorded = recorded;
                 result.drives_lacking = lacking;
                 result.laps = laps;

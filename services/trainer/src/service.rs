@@ -269,6 +269,7 @@ impl Trainer {
             tick_s: self.config.drive.tick_s,
             ticks: self.config.ticks(),
             laps: crate::sweeping::laps_of(&self.config),
+            single: None,
             incarnation: self.incarnation,
         }
     }

@@ -3,17 +3,13 @@
 use std::collections::BTreeMap;
 
 use config::{ConfigError, Parameters, RunConfig, SweepPlan};
-use ipc_types::{Command, DriveReport, Odometry, Safety, has};
+use ipc_types::{DriveReport, Odometry, Safety, has};
 use outcome::Switch;
-use supervisor::Movement;
-use tracking::{
-    Covered, DriveRecorder, EndReason, Objective, PathFollower, Pose, Reference, TickMeasures,
-    TrackingError,
-};
+use tracking::{EndReason, Objective};
 
+use crate::along::{Interrupted, SingleSums};
 use crate::digest::digest_of_drives;
 use crate::ranking::measures_of;
-use crate::recording::Row;
 use crate::sweep::PlannedDrive;
 use crate::wire::Driven;
 
@@ -49,40 +45,14 @@ impl SingleDrive {
         }]
     }
 
-    /// The drive that was interrupted after these ticks; `None` if there are none.
-    pub(crate) fn interrupted(&self, rows: &[Row]) -> Option<Driven> {
-        let (first, last) = (rows.first()?, rows.last()?);
-        let tick_s = self.config.drive.tick_s;
-        let mut recorder = DriveRecorder::new(tick_s);
-        let reference = Reference::new(&self.config);
-        let path = reference.path();
-        let mut follower = PathFollower::default();
-        for row in rows {
-            follower.distance_m(path, row.x_m, row.y_m);
-            recorder.add(TickMeasures {
-                error: TrackingError {
-                    along_track_m: row.along_track_m,
-                    cross_track_m: row.cross_track_m,
-                    heading_rad: row.heading_rad,
-                },
-                path_distance_m: row.path_distance_m,
-                steering_rad: row.command_steering_rad,
-                steering_limited: row.command_steering_rad.abs()
-                    >= self.config.controller.steering_limit_rad,
-                lateral_acceleration_mps2: row.speed_mps * row.yaw_rate_radps,
-            });
-        }
-        let along_m = follower.along_m(path, last.x_m, last.y_m);
-        let progress = (along_m / path.length_m()).clamp(0.0, 1.0);
-        let covered = Covered { at_end: progress, in_time: progress };
-        let record = recorder.finish(EndReason::Time, last.tick + 1, tick_s, covered, 0);
-        let has_truth =
-            rows.iter().any(|row| (row.x_m, row.y_m) != (row.measured_x_m, row.measured_y_m));
+    /// The drive that was interrupted, by what was recorded of it; `None` if there is nothing.
+    pub(crate) fn interrupted(&self, sums: &SingleSums) -> Option<Driven> {
+        let Interrupted { record, has_truth, joined } = sums.interrupted()?;
         let report = DriveReport {
             parameters: self.sets.first()?.0,
             ticks: record.ticks,
             flags: if has_truth { Odometry::HAS_TRUTH } else { 0 }
-                | if first.tick > 0 { DriveReport::JOINED } else { 0 },
+                | if joined { DriveReport::JOINED } else { 0 },
             ..DriveReport::default()
         };
         Some(Driven { report, record })
@@ -124,68 +94,6 @@ impl SingleDrive {
             laps: BTreeMap::new(),
         }
     }
-}
-
-/// Where a recorded drive was fastest, compared with the path's speed.
-pub(crate) fn fastest(config: &RunConfig, rows: &[Row]) -> Option<outcome::Fastest> {
-    let reference = Reference::new(config);
-    let path = reference.path();
-    let mut follower = PathFollower::default();
-    let speeds = rows.iter().map(|row| {
-        follower.distance_m(path, row.x_m, row.y_m);
-        let along_m = follower.along_m(path, row.x_m, row.y_m);
-        let path_speed_mps = reference.path_speed_mps(along_m);
-        outcome::Fastest { speed_mps: row.speed_mps, path_speed_mps }
-    });
-    // Where the path ends at rest, any speed would be many times its own.
-    let share = |it: &outcome::Fastest| it.speed_mps / it.path_speed_mps.max(0.2);
-    speeds.max_by(|a, b| share(a).total_cmp(&share(b)))
-}
-
-/// Where a recorded drive was in the configuration's envelope, as the supervisor saw it; `None` if there is none.
-/// `stopped_for` is what the gate stopped it for.
-pub(crate) fn in_envelope(
-    config: &RunConfig,
-    rows: &[Row],
-    stopped_for: u32,
-) -> Option<outcome::InEnvelope> {
-    const STOPPED: u32 = Command::STOPPING | Command::STOPPED;
-    let file = config.envelope.as_deref()?;
-    let mut envelope = supervisor::envelope::Envelope::new(config)?;
-    let reference = Reference::new(config);
-    let path = reference.path();
-    let mut follower = PathFollower::default();
-    let mut alarm = None;
-    for row in rows.iter().take_while(|row| row.flags & Command::ENDED == 0) {
-        if row.flags & STOPPED != 0 {
-            envelope.lose();
-            continue;
-        }
-        let pose =
-            Pose { x_m: row.measured_x_m, y_m: row.measured_y_m, yaw_rad: row.measured_yaw_rad };
-        let (speed_mps, yaw_rate_radps) = (row.speed_mps, row.yaw_rate_radps);
-        envelope.see(row.tick, Movement { pose, speed_mps, yaw_rate_radps }, true);
-        let (x_m, y_m) = (row.reference_x_m, row.reference_y_m);
-        follower.distance_m(path, x_m, y_m);
-        envelope.follow(follower.along_m(path, x_m, y_m));
-        envelope.tell(row.command_steering_rad);
-        alarm = alarm.or(envelope.alarm());
-    }
-    let (score, worst) = envelope.score();
-    let channel = &file.channels[worst];
-    let by = alarm.map(|it| &file.channels[it.index]);
-    let acted = alarm.filter(|it| has(stopped_for, it.channel.reason()));
-    Some(outcome::InEnvelope {
-        score,
-        threshold: file.threshold,
-        worst: channel.kind.clone(),
-        over_s: channel.over_s,
-        out_at_s: alarm.map(|it| it.tick as f64 * config.drive.tick_s),
-        out_at_tick: alarm.map(|it| it.tick),
-        out_by: by.map(|it| it.kind.clone()),
-        out_over_s: by.map(|it| it.over_s),
-        action: acted.map(|it| Safety::action_name(it.channel.reason()).to_owned()),
-    })
 }
 
 /// Names of what was wrong.

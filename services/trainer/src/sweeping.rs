@@ -11,7 +11,8 @@ use runtime::Bus;
 use runtime::clock::now_ns;
 use tracking::LapRecorder;
 
-use crate::recording::{RECORDING_PATIENCE, Recorder, Row, write};
+use crate::along::{SingleSums, Sums};
+use crate::recording::{RECORDING_PATIENCE, Recorder, Taken};
 use crate::sweep::{PlannedDrive, Sweep};
 use crate::wire::{Driven, record_of};
 
@@ -25,6 +26,8 @@ pub(crate) struct Place {
     pub(crate) ticks: u64,
     /// Counts the laps of recorded drives; `None` if the path is driven once.
     pub(crate) laps: Option<LapRecorder>,
+    /// What is told of a recorded drive that is the only one; `None` for several.
+    pub(crate) single: Option<Box<SingleSums>>,
     /// Which start of the process it is.
     pub(crate) incarnation: u64,
 }
@@ -59,8 +62,8 @@ pub(crate) struct Sweeping {
     lacking: BTreeMap<String, u64>,
     /// The laps of recordings, by their names.
     laps: BTreeMap<String, Vec<Lap>>,
-    /// The last recording.
-    last_rows: Vec<Row>,
+    /// What the recording of a single drive comes to.
+    single: Option<Box<SingleSums>>,
 }
 
 impl Sweeping {
@@ -72,8 +75,16 @@ impl Sweeping {
     ) -> Result<Self> {
         let records = drives.iter().any(|drive| drive.record.is_some());
         // Observers cost a little of every tick, so they are attached only if there is something to record.
-        let recorder =
-            if records { Some(Recorder::new(bus, place.run, place.tick_s)?) } else { None };
+        let recorder = match records {
+            true => {
+                let names = (first_learner..).zip(&drives);
+                let names = names.filter_map(|(it, drive)| Some((it, drive.record.clone()?)));
+                let files = (place.folder.as_path(), names.collect());
+                let sums = Sums { laps: place.laps.clone(), single: place.single.clone() };
+                Some(Recorder::new(bus, place.run, place.tick_s, files, sums)?)
+            }
+            false => None,
+        };
         // Drives of which only the predecessor saw something (recordings and switches) must be made again. For all
         // others the reports are enough, and the orchestrator still has them.
         let is_watched = records || drives.iter().any(|drive| drive.by_zone.len() > 1);
@@ -87,7 +98,7 @@ impl Sweeping {
             recorded: Vec::new(),
             lacking: BTreeMap::new(),
             laps: BTreeMap::new(),
-            last_rows: Vec::new(),
+            single: None,
         })
     }
 
@@ -117,9 +128,9 @@ impl Sweeping {
         self.laps.clone()
     }
 
-    /// The last recording; empty if there is none.
-    pub(crate) fn last_rows(&self) -> &[Row] {
-        &self.last_rows
+    /// What the recording of a single drive comes to; `None` if there is none.
+    pub(crate) fn single(&self) -> Option<&SingleSums> {
+        self.single.as_deref()
     }
 
     /// Takes outcomes; returns how many of them were not wanted.
@@ -158,31 +169,22 @@ impl Sweeping {
         let waited = !self.unrecorded.is_empty();
         let mut waiting = Vec::new();
         for (report, since_ns) in self.unrecorded.drain(..) {
-            let name = self
-                .sweep
-                .index_of_own(report.learner, report.step)
-                .and_then(|index| self.sweep.drive(index).record.clone())
-                .unwrap_or_default();
             let must_be_whole = now_ns() - since_ns < RECORDING_PATIENCE.as_nanos() as u64;
             let DriveReport { learner, step, ticks, .. } = report;
-            let Some(rows) = recorder.take(learner, step, ticks, must_be_whole) else {
+            let Some(taken) = recorder.take(learner, step, ticks, must_be_whole)? else {
                 waiting.push((report, since_ns));
                 continue;
             };
-            write(&self.place.folder, &name, &rows)?;
             // By the clock the report counts the ticks that were answered alone.
-            let all = rows.last().map_or(0, |row| row.tick + 1).max(ticks);
-            let lacking = all - rows.len() as u64;
+            let all = taken.next_tick.max(ticks);
+            let lacking = all - taken.rows;
             if lacking > 0 {
+                let name = &taken.name;
                 tracing::warn!(name, lacking, of = all, "the recording lacks ticks");
                 self.lacking.insert(name.clone(), lacking);
             }
-            if let Some(recorder) = &self.place.laps {
-                let arrived = record_of(&report).arrived();
-                self.laps.insert(name.clone(), count_laps(recorder, &rows, arrived));
-            }
-            self.recorded.push(name);
-            self.last_rows = rows;
+            let arrived = record_of(&report).arrived();
+            keep(taken, arrived, (&mut self.recorded, &mut self.laps, &mut self.single));
             self.sweep.take(&report);
         }
         self.unrecorded = waiting;
@@ -208,21 +210,18 @@ impl Sweeping {
         self.sweep.driven_so_far()
     }
 
-    /// Ends the recording of a drive under way, and writes it; returns what was recorded of it, if anything.
-    pub(crate) fn cut_recording(&mut self, index: usize) -> Result<Vec<Row>> {
+    /// Ends the recording of a drive under way, and writes it; returns what it comes to, if it is a single drive and
+    /// anything of it was recorded.
+    pub(crate) fn cut_recording(&mut self, index: usize) -> Result<Option<&SingleSums>> {
         self.poll()?;
-        let Some(recorder) = &mut self.recorder else { return Ok(Vec::new()) };
+        let Some(recorder) = &mut self.recorder else { return Ok(None) };
         let (learner, step) = self.sweep.key_of(index);
-        let rows = recorder.take(learner, step, u64::MAX, false).unwrap_or_default();
-        if let Some(name) = self.sweep.drive(index).record.clone().filter(|_| !rows.is_empty()) {
-            write(&self.place.folder, &name, &rows)?;
-            if let Some(recorder) = &self.place.laps {
-                self.laps.insert(name.clone(), count_laps(recorder, &rows, false));
-            }
-            self.recorded.push(name);
+        if recorder.has_rows(learner, step)
+            && let Some(taken) = recorder.take(learner, step, u64::MAX, false)?
+        {
+            keep(taken, false, (&mut self.recorded, &mut self.laps, &mut self.single));
         }
-        self.last_rows.clone_from(&rows);
-        Ok(rows)
+        Ok(self.single())
     }
 
     /// Progress of the sweep, to be sent with [`LearnerProgress::DRIVES`].
@@ -242,14 +241,19 @@ impl Sweeping {
     }
 }
 
-/// The laps of a recording.
-fn count_laps(recorder: &LapRecorder, rows: &[Row], arrived: bool) -> Vec<Lap> {
-    let mut recorder = recorder.clone();
-    rows.iter().for_each(|row| recorder.add(row.tick, row.x_m, row.y_m));
-    let lap = |it: tracking::Lap| Lap {
-        time_s: it.time_s,
-        path_mean_m: it.path_mean_m,
-        path_max_m: it.path_max_m,
-    };
-    recorder.finish(arrived).into_iter().map(lap).collect()
+/// Notes what a recording comes to.
+fn keep(
+    Taken { name, mut sums, .. }: Taken,
+    arrived: bool,
+    (recorded, laps, single): (
+        &mut Vec<String>,
+        &mut BTreeMap<String, Vec<Lap>>,
+        &mut Option<Box<SingleSums>>,
+    ),
+) {
+    if let Some(of_drive) = sums.finish_laps(arrived) {
+        laps.insert(name.clone(), of_drive);
+    }
+    recorded.push(name);
+    *single = sums.single;
 }
