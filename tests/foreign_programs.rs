@@ -4,7 +4,7 @@ mod support;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
@@ -71,33 +71,9 @@ fn after_kill_9_of_the_orchestrator_nothing_of_a_foreign_program_lives_on() {
 /// As above, where no control group can be made.
 #[test]
 fn what_a_foreign_program_has_started_ends_with_it_without_a_control_group() {
-    let hide = "mount -t tmpfs none /sys/fs/cgroup && exec \"$0\" \"$@\"";
-    let hidden = ["--mount", "sh", "-c", hide];
-    let works = Command::new("unshare").args(hidden).arg("true").output();
-    if !works.is_ok_and(|output| output.status.success()) {
-        assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "no namespaces");
-        eprintln!("skipped: this user may not make namespaces");
-        return;
-    }
     let sandbox = Sandbox::new();
     let (vehicle, mark) = vehicle_with_a_stray(&sandbox, "");
-    let mut run = Command::new("unshare")
-        .args(hidden)
-        .arg(env!("CARGO_BIN_EXE_pathtune"))
-        .args(["train", "lane_change", "--no-memo", "--quiet", "--out", "out"])
-        .args(["--replace", &vehicle])
-        .current_dir(sandbox.path("."))
-        .env("XDG_RUNTIME_DIR", sandbox.path("r"))
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let until = Instant::now() + Duration::from_secs(60);
-    while !(sandbox.has_living_run() && count(&mark) == 2) {
-        assert!(Instant::now() < until, "it does not drive");
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    // unshare and sh have become the orchestrator.
+    let Some(mut run) = train_without_control_groups(&sandbox, &vehicle, &mark) else { return };
     signal(run.id() as i32, Signal::KILL);
     run.wait().unwrap();
     wait_until_gone(&mark);
@@ -105,6 +81,54 @@ fn what_a_foreign_program_has_started_ends_with_it_without_a_control_group() {
     // What a kill leaves of the run itself is swept by the next command.
     assert!(sandbox.run(&["clean"]).status.success());
     sandbox.assert_clean();
+}
+
+#[test]
+fn what_orchestrator_and_guardian_leave_when_both_are_killed_is_ended_by_the_next_command() {
+    let sandbox = Sandbox::new();
+    let (vehicle, mark) = vehicle_with_a_stray(&sandbox, "");
+    let Some(mut run) = train_without_control_groups(&sandbox, &vehicle, &mark) else { return };
+    let guardian = sandbox.service("guardian").unwrap();
+    // So that it cannot do its work before it is killed.
+    signal(guardian, Signal::STOP);
+    signal(run.id() as i32, Signal::KILL);
+    signal(guardian, Signal::KILL);
+    run.wait().unwrap();
+    sandbox.wait_until_nobody_lives();
+    assert_eq!(count(&mark), 2, "nobody is left who could end them");
+    assert!(sandbox.run(&["clean"]).status.success());
+    assert_eq!(count(&mark), 0);
+    sandbox.assert_clean();
+}
+
+/// A training that drives, where no control group can be made; none if this user may not make namespaces.
+fn train_without_control_groups(sandbox: &Sandbox, vehicle: &str, mark: &str) -> Option<Child> {
+    let hide = "mount -t tmpfs none /sys/fs/cgroup && exec \"$0\" \"$@\"";
+    let hidden = ["--mount", "sh", "-c", hide];
+    let works = Command::new("unshare").args(hidden).arg("true").output();
+    if !works.is_ok_and(|output| output.status.success()) {
+        assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "no namespaces");
+        eprintln!("skipped: this user may not make namespaces");
+        return None;
+    }
+    // unshare and sh become the orchestrator.
+    let run = Command::new("unshare")
+        .args(hidden)
+        .arg(env!("CARGO_BIN_EXE_pathtune"))
+        .args(["train", "lane_change", "--no-memo", "--quiet", "--out", "out"])
+        .args(["--replace", vehicle])
+        .current_dir(sandbox.path("."))
+        .env("XDG_RUNTIME_DIR", sandbox.path("r"))
+        .stdin(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let until = Instant::now() + Duration::from_secs(60);
+    while !(sandbox.has_living_run() && count(mark) == 2) {
+        assert!(Instant::now() < until, "it does not drive");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Some(run)
 }
 
 #[test]

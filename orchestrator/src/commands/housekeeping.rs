@@ -8,12 +8,13 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use comfy_table::Table;
 use comfy_table::presets::NOTHING;
-use runtime::run::{RunNames, stale_segments, sweep_dead_runs};
+use runtime::run::{RunNames, stale_segments};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 use serde_json::json;
 
 use crate::pipeline::process::last_lines;
+use crate::pipeline::strays::sweep_dead_runs;
 use crate::runs::living_run;
 use crate::runs::state::{RunState, ShownRun};
 use crate::runs::temporary;

@@ -6,7 +6,6 @@ use std::time::Duration;
 use anyhow::Context;
 use config::RunConfig;
 use config::launch::{Launch, Role};
-use runtime::run::sweep_dead_runs;
 use serde_json::Value;
 use toml::{Table, Value as Toml};
 
@@ -15,6 +14,7 @@ use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
 use crate::pipeline::services::Services;
+use crate::pipeline::strays::sweep_dead_runs;
 use crate::runs::folder::refuse_earlier;
 use crate::runs::preflight;
 use crate::runs::running::run;

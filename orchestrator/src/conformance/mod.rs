@@ -21,13 +21,13 @@ use comfy_table::presets::NOTHING;
 use config::launch::{Launch, Role};
 use config::{Layers, RunConfig};
 use ipc_types::Status;
-use runtime::run::sweep_dead_runs;
 use runtime::{Attachment, Wait};
 use serde_json::json;
 
 use crate::cli::ConformanceArgs;
 use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::process::{Program, last_lines};
+use crate::pipeline::strays::sweep_dead_runs;
 use crate::runs::preflight;
 use crate::runs::running::PrivateNames;
 use crate::words::Failure;

@@ -30,6 +30,12 @@ impl Cgroup {
         folder_of(run, guardian).filter(|folder| folder.is_dir()).map(Self)
     }
 
+    /// The group in this folder, if there is one whose name begins like this.
+    pub(crate) fn found(folder: &Path, name: &str) -> Option<Self> {
+        let has_name = folder.file_name()?.to_str()?.starts_with(name);
+        (has_name && folder.join(KILL).exists()).then(|| Self(folder.to_owned()))
+    }
+
     /// Where processes enter it: see [`enter`].
     pub(crate) fn path(&self) -> &Path {
         &self.0

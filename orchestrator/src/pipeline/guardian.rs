@@ -28,7 +28,7 @@ use rustix::process::{
 use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
 
 use crate::pipeline::cgroup::Cgroup;
-use crate::pipeline::orphans;
+use crate::pipeline::{orphans, strays};
 
 /// Name of the service.
 pub(crate) const SERVICE: &str = "guardian";
@@ -52,7 +52,7 @@ pub fn guard(words: &[String]) -> anyhow::Result<()> {
     orphans::adopt();
     let mut log = LogFile::open(Path::new(log))?;
     let cgroup = Cgroup::make(attachment.names.run, std::process::id());
-    let (program, mut output) = start(command, cgroup.as_ref())?;
+    let (program, mut output) = start(command, cgroup.as_ref(), &attachment)?;
     name(program);
 
     let (mut status, mut is_asked, mut has_output) = (None, false, true);
@@ -131,8 +131,15 @@ impl Signals {
 }
 
 /// Starts the program; returns its process id, and what it and its descendants print.
-fn start(command: &str, cgroup: Option<&Cgroup>) -> anyhow::Result<(Pid, File)> {
+fn start(
+    command: &str,
+    cgroup: Option<&Cgroup>,
+    attachment: &Attachment,
+) -> anyhow::Result<(Pid, File)> {
     let (output, printed) = pipe_with(PipeFlags::CLOEXEC)?;
+    // By it the program's processes are found if this one is killed together with the orchestrator.
+    strays::note(&attachment.names.root, &output, cgroup)
+        .context("failed to note what the program is known by")?;
     fcntl_setfl(&output, OFlags::NONBLOCK)?;
     let mut child = Command::new("/proc/self/exe");
     child

@@ -18,4 +18,5 @@ pub(crate) mod recovery;
 pub mod restart;
 pub mod sequencer;
 pub(crate) mod services;
+pub(crate) mod strays;
 pub(crate) mod vitals;

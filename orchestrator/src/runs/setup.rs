@@ -10,13 +10,13 @@ use config::launch::{Launch, Role};
 use config::{Layers, RecordedPath, RunConfig, StartAt, SweepKind, SweepPlan, read_small};
 use runtime::Wait;
 use runtime::chaos::Script;
-use runtime::run::sweep_dead_runs;
 
 use crate::cli::{PathReading, SetupArgs, WaitArg};
 use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
 use crate::pipeline::services::Services;
+use crate::pipeline::strays::sweep_dead_runs;
 use crate::runs::{folder, preflight};
 use crate::words::terminal::tell;
 use crate::words::{Failure, known};

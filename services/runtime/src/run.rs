@@ -186,13 +186,15 @@ fn segments() -> Vec<String> {
     entries.flatten().filter_map(|entry| entry.file_name().into_string().ok()).collect()
 }
 
-/// Removes what dead runs of this user left behind, and returns those runs.
+/// Removes what dead runs of this user left behind, and returns those runs. Before that, each of them is shown to `end`,
+/// which ends processes that live on.
 ///
 /// A run is alive exactly as long as its orchestrator holds the lock in its folder.
-pub fn sweep_dead_runs() -> Vec<RunNames> {
+pub fn sweep_dead_runs(end: impl Fn(&RunNames)) -> Vec<RunNames> {
     let mut swept = Vec::new();
     for names in dead_runs() {
         if let Some(_lock) = names.take_over() {
+            end(&names);
             names.remove();
             swept.push(names);
         }
