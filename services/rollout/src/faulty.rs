@@ -65,6 +65,8 @@ pub struct FaultyCar {
     /// The ticks from the first to the one before the last in which it has the fault.
     from_tick: u64,
     to_tick: u64,
+    /// For how many ticks it is there and then away in turn; 0 if it stays.
+    in_turn: u64,
     tick: u64,
     /// The last command that it obeyed.
     had: (f64, f64),
@@ -74,11 +76,17 @@ impl FaultyCar {
     /// The configured vehicle, with a fault from one tick to before another.
     pub fn new(config: &RunConfig, fault: Fault, from_tick: u64, to_tick: u64) -> Self {
         let car = SimulatedVehicle::new(config);
-        Self { car, fault, from_tick, to_tick, tick: 0, had: (0.0, 0.0) }
+        Self { car, fault, from_tick, to_tick, in_turn: 0, tick: 0, had: (0.0, 0.0) }
+    }
+
+    /// As [`FaultyCar::new`], but the fault comes and goes: it is there for so many ticks, and away for as many.
+    pub fn in_turn(config: &RunConfig, fault: Fault, from_tick: u64, ticks: u64) -> Self {
+        Self { in_turn: ticks, ..Self::new(config, fault, from_tick, u64::MAX) }
     }
 
     fn has_fault(&self) -> bool {
-        (self.from_tick..self.to_tick).contains(&self.tick)
+        let is_away = || (self.tick - self.from_tick) / self.in_turn % 2 == 1;
+        (self.from_tick..self.to_tick).contains(&self.tick) && !(self.in_turn > 0 && is_away())
     }
 }
 

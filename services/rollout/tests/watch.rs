@@ -132,9 +132,13 @@ struct Story {
 }
 
 fn drive_with(config: &RunConfig, fault: Fault, from_s: f64, seed: u64) -> Story {
+    let from = (from_s / config.drive.tick_s) as u64;
+    drive_car(config, FaultyCar::new(config, fault, from, u64::MAX), from, seed)
+}
+
+fn drive_car(config: &RunConfig, car: FaultyCar, from: u64, seed: u64) -> Story {
     let tick_s = config.drive.tick_s;
-    let from = (from_s / tick_s) as u64;
-    let mut rollout = Rollout::around(FaultyCar::new(config, fault, from, u64::MAX), config);
+    let mut rollout = Rollout::around(car, config);
     let (mut path_max_m, mut told_m, mut driven_s) = (0.0f64, 0.0, 0.0);
     let (mut told_s, mut stopping_s, mut stands_s) = (None, None, None);
     let seed = config.noise.enabled.then_some(seed);
@@ -168,6 +172,13 @@ fn most(times: &[Option<f64>]) -> String {
     }
 }
 
+/// How long the path is under way at this speed.
+fn way_s(config: &RunConfig, speed_mps: f64) -> f64 {
+    let points = config.path.points.windows(2);
+    let lengths = points.map(|it| libm::hypot(it[1][0] - it[0][0], it[1][1] - it[0][1]));
+    lengths.sum::<f64>() / speed_mps
+}
+
 #[test]
 fn faulty_vehicles_are_stopped_in_time() {
     let noise = ["noise.enabled=true"];
@@ -175,14 +186,9 @@ fn faulty_vehicles_are_stopped_in_time() {
         [("tesla_model_3_guarded", 1.5), ("ackermann", 2.0), ("f1tenth", 1.5)]
     {
         let config = own_path(vehicle, speed_mps, &noise);
-        let last_m = config
-            .path
-            .points
-            .windows(2)
-            .map(|pair| libm::hypot(pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]));
-        let way_s = last_m.sum::<f64>() / speed_mps;
+        let way_s = way_s(&config, speed_mps);
         let by_m = 1.4 * config.vehicle.wheelbase_m / 2.875;
-        let bound_m = if config.vehicle.wheelbase_m > 1.0 { 3.5 } else { 0.8 };
+        let bound_m = if config.vehicle.wheelbase_m > 1.0 { 3.5 } else { 0.6 };
         // With what they may be stopped for; a throttle that is stuck and a car that goes on with its last command cannot
         // be stopped by commands. A vehicle that ignores all commands from the start stands, which is told.
         let stuck = Fault::StuckThrottle { speed_mps: 4.0 * speed_mps };
@@ -241,6 +247,52 @@ fn faulty_vehicles_are_stopped_in_time() {
                         assert!(record.stopped_for & reasons != 0, "{what}");
                     }
                 }
+            }
+        }
+    }
+}
+
+/// A contact that is loose: the fault is there for half of the time. Either the vehicle is stopped, or it stays near its
+/// path all the same.
+#[test]
+fn faults_that_come_and_go_do_not_go_unnoticed() {
+    let noise = ["noise.enabled=true"];
+    for (vehicle, speed_mps) in
+        [("tesla_model_3_guarded", 1.5), ("ackermann", 2.0), ("f1tenth", 1.5)]
+    {
+        let config = own_path(vehicle, speed_mps, &noise);
+        // One that nobody notices keeps within the limit of the distance from the path.
+        let is_large = config.vehicle.wheelbase_m > 1.0;
+        let (bound_m, near_m) = if is_large { (3.5, 1.0) } else { (0.6, 0.35) };
+        let way_s = way_s(&config, speed_mps);
+        for (name, fault) in [
+            ("wrong sign", Fault::WrongSign),
+            ("no steering", Fault::NoSteering),
+            ("bent linkage", Fault::BentLinkage { gain: 0.15, offset_rad: 0.12 }),
+        ] {
+            for half_s in [0.2, 0.5, 1.0] {
+                let in_turn = (half_s / config.drive.tick_s) as u64;
+                let (mut stopped, mut farthest_m, mut unnoticed_m, mut why) =
+                    (0, 0.0f64, 0.0f64, 0);
+                for seed in 0..drives(2) {
+                    let from_s = way_s * (0.15 + 0.025 * (seed % 20) as f64);
+                    let from = (from_s / config.drive.tick_s) as u64;
+                    let car = FaultyCar::in_turn(&config, fault, from, in_turn);
+                    let story = drive_car(&config, car, from, seed);
+                    farthest_m = farthest_m.max(story.path_max_m);
+                    match story.record.stopped_for {
+                        0 => unnoticed_m = unnoticed_m.max(story.path_max_m),
+                        reasons => (stopped, why) = (stopped + 1, why | reasons),
+                    }
+                }
+                println!(
+                    "| {vehicle} | {name} for {half_s} s in turn | {stopped} stopped ({}) | {farthest_m:.2} | \
+                     not stopped: {unnoticed_m:.2} |",
+                    names(why)
+                );
+                let what = format!("{vehicle}, {name} for {half_s} s in turn");
+                assert!(farthest_m < bound_m, "{what}: {farthest_m} m");
+                assert!(unnoticed_m < near_m, "{what}: {unnoticed_m} m, and nobody noticed");
             }
         }
     }

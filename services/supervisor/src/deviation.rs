@@ -4,8 +4,11 @@
 //! place of the path is looked for near the last one, so that another stretch of the path that comes near does not count.
 //! Where a path's file tells the road's edges, the vehicle's body may not pass them either.
 //!
-//! A vehicle that was rearmed beside its path may be farther away than its limit. It is allowed to return: its limit counts
-//! from the nearest that it has come to the path since, until it is as near as the limit itself.
+//! A vehicle that was rearmed beside its path may be farther away than its limit, or stand across it. It is allowed to
+//! return: its limits count from the nearest that it has come to the path and its heading since, until it is as near as
+//! the limits themselves.
+
+use std::f64::consts::FRAC_PI_2;
 
 use config::RunConfig;
 use ipc_types::Safety;
@@ -29,8 +32,10 @@ pub struct Deviation {
     is_lost: bool,
     /// It was rearmed, and has not been seen since.
     is_rearmed: bool,
-    /// How much farther than its limit it may be: 0, but while it returns to its path after a rearm.
+    /// How much farther than its limit it may be, and farther turned than that: 0, but while it returns to its path after a
+    /// rearm.
     excess_m: f64,
+    excess_rad: f64,
     faults: u32,
 }
 
@@ -55,6 +60,7 @@ impl Deviation {
             is_lost: false,
             is_rearmed: false,
             excess_m: 0.0,
+            excess_rad: 0.0,
             faults: 0,
         })
     }
@@ -112,17 +118,20 @@ impl Deviation {
         });
         let limit_m = self.limit_m.min(to_the_edge_m);
         // How far it may be counts from where it was rearmed, and shrinks while it comes nearer.
-        self.excess_m = match std::mem::take(&mut self.is_rearmed) {
-            _ if distance_m <= limit_m => 0.0,
-            true => distance_m,
-            false => self.excess_m.min(distance_m),
-        };
+        let is_rearmed = std::mem::take(&mut self.is_rearmed);
+        self.excess_m = excess(self.excess_m, limit_m, distance_m, is_rearmed);
+        let off_rad = heading_rad.abs();
+        self.excess_rad = excess(self.excess_rad, self.limit_rad, off_rad, is_rearmed);
+        if self.excess_m > 0.0 {
+            // Back to the path it drives across.
+            self.excess_rad = self.excess_rad.max(FRAC_PI_2 - self.limit_rad);
+        }
         self.faults = 0;
         if distance_m > limit_m + self.excess_m {
             let is_edge = distance_m <= self.limit_m;
             self.faults |= if is_edge { Safety::ROAD_EDGE } else { Safety::PATH_DISTANCE };
         }
-        if heading_rad.abs() > self.limit_rad {
+        if off_rad > self.limit_rad + self.excess_rad {
             self.faults |= Safety::PATH_HEADING;
         }
     }
@@ -130,5 +139,15 @@ impl Deviation {
     /// [`Safety::PATH_DISTANCE`], [`Safety::ROAD_EDGE`] and [`Safety::PATH_HEADING`], if the last mean was beyond their limits.
     pub fn faults(&self) -> u32 {
         self.faults
+    }
+}
+
+/// How far beyond its limit a vehicle may be that is `off` now: this counts from where it was rearmed, and shrinks while it
+/// comes nearer.
+fn excess(before: f64, limit: f64, off: f64, is_rearmed: bool) -> f64 {
+    match is_rearmed {
+        _ if off <= limit => 0.0,
+        true => off,
+        false => before.min(off),
     }
 }

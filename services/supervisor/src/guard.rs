@@ -7,6 +7,13 @@ use ipc_types::Safety;
 /// seconds of evidence already; or there is just the room for a stop.
 const AT_ONCE: u32 = Safety::STEERING_REVERSED | Safety::OUT_OF_ENVELOPE | Safety::AREA;
 
+/// What comes late, as on a machine that is busy for a moment.
+const LATE: u32 = Safety::COMMAND_STALE | Safety::ODOMETRY_STALE;
+/// The share of the time without faults that makes up for time with them. A fault that comes and goes adds up: what is late
+/// for more than 3 of 7 parts of the time, and what is wrong for more than a fifth of it.
+const FORGIVES_LATE: f64 = 0.75;
+const FORGIVES_WRONG: f64 = 0.25;
+
 /// How the vehicle is allowed to drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum State {
@@ -43,8 +50,9 @@ impl State {
 pub struct Guard {
     state: State,
     reasons: u32,
-    /// Time with faults, less the time without since then.
+    /// Time with faults, less a share of the time without since then.
     faulty_s: f64,
+    forgives: f64,
     degraded_limit_s: f64,
     standstill_mps: f64,
 }
@@ -57,6 +65,7 @@ impl Guard {
             state: State::Normal,
             reasons: 0,
             faulty_s: 0.0,
+            forgives: FORGIVES_LATE,
             degraded_limit_s: safety.degraded_limit_s,
             standstill_mps: safety.standstill_mps,
         }
@@ -73,12 +82,18 @@ impl Guard {
     ) -> State {
         match self.state {
             State::Normal | State::Degraded if faults & !Safety::TOLD == 0 => {
-                self.faulty_s = (self.faulty_s - dt_s).max(0.0);
+                self.faulty_s = (self.faulty_s - self.forgives * dt_s).max(0.0);
+                if self.faulty_s == 0.0 {
+                    self.forgives = FORGIVES_LATE;
+                }
                 self.reasons = faults;
                 self.state = State::Normal;
             }
             State::Normal | State::Degraded => {
                 self.faulty_s += dt_s;
+                if faults & !(LATE | Safety::TOLD) != 0 {
+                    self.forgives = FORGIVES_WRONG;
+                }
                 self.reasons = faults;
                 let lasts = self.faulty_s > self.degraded_limit_s;
                 self.state =
@@ -116,7 +131,8 @@ impl Guard {
     pub fn rearm(&mut self, faults: u32) -> bool {
         let ready = self.state == State::Stopped && faults & !Safety::COMMAND_STALE == 0;
         if ready {
-            (self.state, self.reasons, self.faulty_s) = (State::Normal, 0, 0.0);
+            (self.state, self.reasons) = (State::Normal, 0);
+            (self.faulty_s, self.forgives) = (0.0, FORGIVES_LATE);
         } else if self.state.is_latched() {
             self.reasons = self.reasons & !Safety::NO_LEG | faults & Safety::NO_LEG;
         }

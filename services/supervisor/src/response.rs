@@ -25,9 +25,11 @@ const CLEAR_RAD: f64 = 0.02;
 /// How much the steering may differ from what it should be: by this share, and by this angle.
 const STEERING_SHARE: f64 = 0.4;
 const STEERING_RAD: f64 = 0.05;
-/// How much steering the wrong way round, and how much beyond that difference, is too much.
-const REVERSED_RAD_S: f64 = 0.025;
+/// How much steering the wrong way round, and how much beyond that difference, is too much, for a car of this wheelbase. A
+/// smaller one leaves its path sooner, and less is too much, by the root of how much smaller it is.
+const REVERSED_RAD_S: f64 = 0.015;
 const ASTRAY_RAD_S: f64 = 0.05;
+const FULL_SIZE_M: f64 = 2.875;
 /// How much faster than told the vehicle may be: by this share, and by this speed.
 const SPEED_SHARE: f64 = 0.25;
 const SPEED_MPS: f64 = 0.3;
@@ -74,6 +76,8 @@ pub struct Response {
     integral_bounds: (f64, f64),
     tick_s: f64,
     wheelbase_m: f64,
+    reversed_limit_rad_s: f64,
+    astray_limit_rad_s: f64,
     crawls_mps: f64,
     slowing_mps2: f64,
     standstill_mps: f64,
@@ -86,6 +90,7 @@ impl Response {
         let vehicle = &config.vehicle;
         let gear_s =
             if vehicle.gear_engaged { 0.0 } else { vehicle.gear_drive_s + vehicle.gear_poll_s };
+        let size = (vehicle.wheelbase_m / FULL_SIZE_M).min(1.0).sqrt();
         config.watches_response().then(|| Self {
             steering: SteeringChain::new(vehicle, config.drive.tick_s),
             speed_mps: 0.0,
@@ -109,6 +114,8 @@ impl Response {
             integral_bounds: (vehicle.speed_integral_min, vehicle.speed_integral_max),
             tick_s: config.drive.tick_s,
             wheelbase_m: vehicle.wheelbase_m,
+            reversed_limit_rad_s: REVERSED_RAD_S * size,
+            astray_limit_rad_s: ASTRAY_RAD_S * size,
             crawls_mps: CRAWLS_MPS.max(CRAWLS_WHEELBASES_PER_S * vehicle.wheelbase_m),
             slowing_mps2: SLOWING_SHARE * vehicle.safety.stop_deceleration_mps2,
             standstill_mps: vehicle.safety.standstill_mps,
@@ -207,11 +214,15 @@ impl Response {
         self.stands_s = if is_told_in_vain { self.stands_s + lasted_s } else { 0.0 };
 
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
-        self.faults = flag(self.reversed_rad_s > REVERSED_RAD_S, Safety::STEERING_REVERSED)
-            | flag(self.astray_rad_s > ASTRAY_RAD_S, Safety::STEERING_IGNORED)
-            | flag(self.run_m > RUN_WHEELBASES * self.wheelbase_m, Safety::SPEED_IGNORED)
-            | flag(self.stands_s > self.may_stand_s, Safety::STANDS)
-            | flag(self.unseen.as_ref().is_some_and(Unseen::is_computed), Safety::STEERING_UNSEEN);
+        self.faults =
+            flag(self.reversed_rad_s > self.reversed_limit_rad_s, Safety::STEERING_REVERSED)
+                | flag(self.astray_rad_s > self.astray_limit_rad_s, Safety::STEERING_IGNORED)
+                | flag(self.run_m > RUN_WHEELBASES * self.wheelbase_m, Safety::SPEED_IGNORED)
+                | flag(self.stands_s > self.may_stand_s, Safety::STANDS)
+                | flag(
+                    self.unseen.as_ref().is_some_and(Unseen::is_computed),
+                    Safety::STEERING_UNSEEN,
+                );
     }
 
     fn judge_steering(&mut self, told: f64, shown: f64, lasted_s: f64) {
@@ -233,7 +244,8 @@ impl Response {
         let sign = if is_reversed { 1.0 } else { -1.0 };
         self.reversed_rad_s = (self.reversed_rad_s + sign * size * lasted_s).max(0.0);
         let beyond = (shown - told).abs() - STEERING_SHARE * size - STEERING_RAD;
-        self.astray_rad_s = (self.astray_rad_s + beyond * lasted_s).clamp(0.0, 2.0 * ASTRAY_RAD_S);
+        let most = 2.0 * self.astray_limit_rad_s;
+        self.astray_rad_s = (self.astray_rad_s + beyond * lasted_s).clamp(0.0, most);
     }
 
     /// Bits of [`Safety::reasons`]: what the vehicle does not do as it is told.

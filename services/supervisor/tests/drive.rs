@@ -116,10 +116,40 @@ fn a_vehicle_that_was_rearmed_beside_its_path_may_return_to_it() {
     // One that was near is allowed nothing more.
     let mut near = rearmed_at(2.0);
     assert_eq!((near.faults(), see(&mut near, 3.01)), (0, Safety::PATH_DISTANCE));
-    // Its heading is limited as ever.
-    let mut across = rearmed_at(5.0);
-    (0..10).for_each(|_| across.see(pose(30.0, 5.0, 0.81)));
-    assert_eq!(across.faults(), Safety::PATH_HEADING);
+}
+
+#[test]
+fn a_vehicle_that_was_rearmed_across_its_path_may_turn_back_to_it() {
+    let config = config(&[]);
+    let rearmed_at = |y_m: f64, yaw_rad: f64| {
+        let mut deviation = Deviation::new(&config).unwrap();
+        deviation.lose();
+        deviation.rearm();
+        deviation.look_near(30.0);
+        (0..10).for_each(|_| deviation.see(pose(30.0, y_m, yaw_rad)));
+        deviation
+    };
+    let see = |deviation: &mut Deviation, y_m: f64, yaw_rad: f64| {
+        (0..10).for_each(|_| deviation.see(pose(30.0, y_m, yaw_rad)));
+        deviation.faults()
+    };
+    let heading = Safety::PATH_HEADING;
+    // The limit, 0.8 rad, counts from how it was rearmed, and shrinks while it turns back.
+    let mut across = rearmed_at(1.0, 1.2);
+    assert_eq!(
+        (across.faults(), see(&mut across, 1.0, -1.99), see(&mut across, 1.0, -2.01)),
+        (0, 0, heading)
+    );
+    assert_eq!((see(&mut across, 1.0, 0.9), see(&mut across, 1.0, 1.69)), (0, 0));
+    assert_eq!(see(&mut across, 1.0, 1.71), heading);
+    assert_eq!((see(&mut across, 1.0, 0.79), see(&mut across, 1.0, 0.81)), (0, heading));
+    // One that returns from beside its path drives across to it, and turns in once it is near.
+    let mut beside = rearmed_at(5.0, 0.0);
+    assert_eq!((see(&mut beside, 4.0, -1.57), see(&mut beside, 4.0, -1.58)), (0, heading));
+    assert_eq!((see(&mut beside, 2.9, -1.5), see(&mut beside, 2.0, -0.7)), (0, 0));
+    assert_eq!(see(&mut beside, 2.0, -0.81), heading);
+    // One that was rearmed on its path is allowed nothing more.
+    assert_eq!(see(&mut rearmed_at(1.0, 0.7), 1.0, 0.81), heading);
 }
 
 #[test]
