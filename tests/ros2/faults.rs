@@ -125,10 +125,7 @@ fn a_drive_goes_on_when_its_adapter_was_paused() {
     sandbox.assert_clean();
 }
 
-// By hand: 5 of 25 times, on a busy machine, the drive began although the ear had been told to stop, or was not told
-// to be given up after the network was joined anew. Why is not known yet.
 #[test]
-#[ignore = "fails now and then"]
 fn commands_that_nobody_acknowledges_are_told_and_the_drive_does_not_go_on() {
     let Some(python) = python() else { return };
     let (sandbox, domain) = (Sandbox::new(), own_domain());
@@ -136,12 +133,12 @@ fn commands_that_nobody_acknowledges_are_told_and_the_drive_does_not_go_on() {
     let _car = Peer::start(&sandbox, &python, domain, &["--deaf"]);
     let ear = Peer::start(&sandbox, &python, domain, &["--ear"]);
     let mut ring = Ring::start(&sandbox, domain, "ackermann", &[]);
-    ring.wait_for("a car at the start", Duration::from_secs(8), Ring::is_at_start);
+    ring.wait_for("a car at the start", Duration::from_secs(30), Ring::is_at_start);
     // Discovered, and deaf from the start.
-    ear.signal(Signal::STOP);
+    ear.freeze();
     ring.request();
     let is_told = |ring: &Ring, what: &str| ring.told().contains(what);
-    ring.wait_for("what it waits for", Duration::from_secs(8), |ring| {
+    ring.wait_for("what it waits for", Duration::from_secs(30), |ring| {
         is_told(ring, "the drive waits for somebody to acknowledge a command")
     });
     assert!(ring.heard.is_empty(), "{}", ring.told());
@@ -152,8 +149,8 @@ fn commands_that_nobody_acknowledges_are_told_and_the_drive_does_not_go_on() {
     assert_eq!(ear.last("told_mps"), 1.0, "{}", ring.told());
     // Deaf on the way.
     let before = ring.told().len();
-    ear.signal(Signal::STOP);
-    let (deaf, until) = (Instant::now(), Instant::now() + Duration::from_secs(8));
+    ear.freeze();
+    let (deaf, until) = (Instant::now(), Instant::now() + Duration::from_secs(20));
     let mut times_ms = Vec::new();
     for what in ["acknowledged for 0.3 s; joining the network anew", "this drive does not go on"] {
         while !ring.told()[before..].contains(what) {

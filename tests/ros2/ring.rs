@@ -179,7 +179,8 @@ impl Ring {
     /// Asks the adapter to stop; waits for a good end.
     pub(super) fn stop(mut self) -> String {
         signal(self.adapter.id() as i32, Signal::INT);
-        let until = Instant::now() + Duration::from_secs(5);
+        // A busy machine is slow.
+        let until = Instant::now() + Duration::from_secs(20);
         let status = loop {
             if let Some(status) = self.adapter.try_wait().unwrap() {
                 break status;

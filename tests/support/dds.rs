@@ -2,9 +2,11 @@
 
 use std::ffi::OsString;
 use std::fs;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixListener};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command as Program, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -41,10 +43,28 @@ fn python_with(modules: &str) -> Option<OsString> {
     python
 }
 
-/// A domain of its own for each test: below 100, where its ports are nobody else's.
+/// A domain of its own for each test, whichever process it runs in: below 100, where its ports are nobody else's. It is
+/// claimed by a name that the machine gives once, for as long as this process lives.
 pub fn own_domain() -> u32 {
-    static NEXT: AtomicU32 = AtomicU32::new(0);
-    1 + (std::process::id() * 10 + NEXT.fetch_add(1, Ordering::Relaxed)) % 99
+    static CLAIMED: Mutex<Vec<UnixListener>> = Mutex::new(Vec::new());
+    let claim = |domain: u32| {
+        let name =
+            SocketAddr::from_abstract_name(format!("pathtune-test-domain-{domain}")).unwrap();
+        UnixListener::bind_addr(&name).ok()
+    };
+    let until = Instant::now() + Duration::from_secs(60);
+    loop {
+        // Not all from the same end, so that few meet.
+        let first = std::process::id() * 10 % 99;
+        if let Some((domain, claimed)) =
+            (0..99).map(|it| 1 + (first + it) % 99).find_map(|it| Some((it, claim(it)?)))
+        {
+            CLAIMED.lock().unwrap().push(claimed);
+            return domain;
+        }
+        assert!(Instant::now() < until, "every domain is taken");
+        std::thread::sleep(Duration::from_millis(100));
+    }
 }
 
 pub struct Peer(Child, PathBuf);
@@ -134,6 +154,21 @@ impl Peer {
 
     pub fn signal(&self, what: rustix::process::Signal) {
         signal(self.0.id() as i32, what);
+    }
+
+    /// Stops it for a while. On a busy machine its threads go on for a moment after the signal was sent.
+    pub fn freeze(&self) {
+        self.signal(rustix::process::Signal::STOP);
+        let threads = format!("/proc/{}/task", self.0.id());
+        let is_stopped = |thread: fs::DirEntry| {
+            let stat = fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
+            stat.rsplit_once(") ").is_none_or(|(_, rest)| rest.starts_with('T'))
+        };
+        let until = Instant::now() + Duration::from_secs(20);
+        while !fs::read_dir(&threads).unwrap().flatten().all(is_stopped) {
+            assert!(Instant::now() < until, "the peer does not stop");
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 
     pub fn wait_until_it_lives(&self) {

@@ -19,6 +19,9 @@ const SILENT_NS: u64 = 300_000_000;
 const LOST_NS: u64 = 1_000_000_000;
 /// What a single look adds at most: a process that was not served does not take that for silence.
 const LONGEST_LOOK_NS: u64 = 20_000_000;
+/// Silence is forgotten once nothing has been sent for so long: then nobody could answer. A process that is held up, as by
+/// joining the network anew, sends nothing for a moment, and goes on waiting for its answer.
+const FORGOTTEN_NS: u64 = 500_000_000;
 /// Time until the network is joined anew once more; it doubles each time.
 const REJOIN_NS: u64 = 1_000_000_000;
 const REJOIN_AT_MOST_NS: u64 = 16_000_000_000;
@@ -27,6 +30,8 @@ const REJOIN_AT_MOST_NS: u64 = 16_000_000_000;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Hearing {
     silent_ns: u64,
+    /// How long nothing has been sent.
+    idle_ns: u64,
     looked_ns: u64,
     is_answered: bool,
     rejoin_ns: u64,
@@ -38,6 +43,7 @@ impl Default for Hearing {
     fn default() -> Self {
         Self {
             silent_ns: 0,
+            idle_ns: 0,
             looked_ns: 0,
             is_answered: false,
             rejoin_ns: 0,
@@ -52,17 +58,25 @@ impl Hearing {
     pub fn look(&mut self, answer: Answer, commands: bool, now_ns: u64) {
         let since_ns = now_ns.saturating_sub(self.looked_ns).min(LONGEST_LOOK_NS);
         self.looked_ns = now_ns;
+        self.idle_ns = if commands { 0 } else { self.idle_ns + since_ns };
         match answer {
             Answer::Given => {
                 self.is_answered = true;
                 (self.silent_ns, self.between_ns) = (0, REJOIN_NS);
             }
-            _ if !commands => self.silent_ns = 0,
+            _ if self.idle_ns >= FORGOTTEN_NS => self.silent_ns = 0,
+            _ if !commands => {}
             // Joined anew, and nobody is there yet.
             Answer::NotAsked if self.silent_ns == 0 => {}
             Answer::NotAsked | Answer::Awaited => self.silent_ns += since_ns,
         }
         self.longest_ns = self.longest_ns.max(self.silent_ns);
+    }
+
+    /// A drive is to begin: what was not heard before does not count.
+    pub fn begin(&mut self) {
+        self.ask_again();
+        self.silent_ns = 0;
     }
 
     /// What was heard before does not tell whether the next command is.
@@ -139,6 +153,21 @@ mod tests {
     }
 
     #[test]
+    fn a_process_that_is_held_up_while_it_joins_anew_still_gives_up() {
+        let mut hearing = Hearing::default();
+        look(&mut hearing, Answer::Given, 0, 5);
+        look(&mut hearing, Answer::Awaited, 5, 400);
+        assert!(hearing.rejoins(T0 + 400 * MS));
+        // That took so long that nothing was sent meanwhile.
+        hearing.look(Answer::NotAsked, false, T0 + 700 * MS);
+        assert!(hearing.is_silent());
+        look(&mut hearing, Answer::NotAsked, 705, 1400);
+        assert!(hearing.is_lost());
+        hearing.begin();
+        assert!(!hearing.is_silent() && !hearing.is_answered());
+    }
+
+    #[test]
     fn neither_a_process_that_was_not_served_nor_one_that_sends_nothing_is_silent() {
         let mut hearing = Hearing::default();
         look(&mut hearing, Answer::Given, 0, 5);
@@ -146,7 +175,11 @@ mod tests {
         assert!(!hearing.is_silent());
         look(&mut hearing, Answer::Awaited, 5250, 5300);
         assert!(hearing.is_silent());
-        hearing.look(Answer::Awaited, false, T0 + 5300 * MS);
+        for ms in (5300..5780).step_by(20) {
+            hearing.look(Answer::Awaited, false, T0 + ms * MS);
+            assert!(hearing.is_silent());
+        }
+        hearing.look(Answer::Awaited, false, T0 + 5800 * MS);
         assert!(!hearing.is_silent());
     }
 }

@@ -224,7 +224,7 @@ impl Adapter {
             let joined = !self.car.is_awaited();
             let Attempt { batch, attempt, .. } = header.attempt;
             tracing::info!(batch, attempt, joined, "requested");
-            self.hearing.ask_again();
+            self.hearing.begin();
             self.notices.start_ns = now_ns;
         }
         Ok(true)
