@@ -47,7 +47,8 @@ fn a_stopped_drive_keeps_its_ticks() {
     });
     let after = check_kept(&sandbox, &output);
     let driven_s: f64 = after.trim_end_matches(" s").parse().unwrap();
-    assert!((1.5..30.0).contains(&driven_s), "{after}");
+    // On a busy machine, ticks are left out.
+    assert!((1.0..30.0).contains(&driven_s), "{after}");
     let result = sandbox.result("out");
     assert_eq!((&result["kind"], &result["reason"]), (&"drive".into(), &"interrupted".into()));
     assert!(result["progress"].as_f64().unwrap() < 0.9);
