@@ -184,7 +184,7 @@ impl Sweeping {
                 self.lacking.insert(name.clone(), lacking);
             }
             let arrived = record_of(&report).arrived();
-            keep(taken, arrived, (&mut self.recorded, &mut self.laps, &mut self.single));
+            keep(taken, arrived, &mut self.recorded, &mut self.laps, &mut self.single);
             self.sweep.take(&report);
         }
         self.unrecorded = waiting;
@@ -219,7 +219,7 @@ impl Sweeping {
         if recorder.has_rows(learner, step)
             && let Some(taken) = recorder.take(learner, step, u64::MAX, false)?
         {
-            keep(taken, false, (&mut self.recorded, &mut self.laps, &mut self.single));
+            keep(taken, false, &mut self.recorded, &mut self.laps, &mut self.single);
         }
         Ok(self.single())
     }
@@ -245,11 +245,9 @@ impl Sweeping {
 fn keep(
     Taken { name, mut sums, .. }: Taken,
     arrived: bool,
-    (recorded, laps, single): (
-        &mut Vec<String>,
-        &mut BTreeMap<String, Vec<Lap>>,
-        &mut Option<Box<SingleSums>>,
-    ),
+    recorded: &mut Vec<String>,
+    laps: &mut BTreeMap<String, Vec<Lap>>,
+    single: &mut Option<Box<SingleSums>>,
 ) {
     if let Some(of_drive) = sums.finish_laps(arrived) {
         laps.insert(name.clone(), of_drive);
