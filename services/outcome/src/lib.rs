@@ -29,7 +29,7 @@ pub use baselines::{Baseline, Baselines, TradeOff, TradedSet};
 pub use comparison::{
     AfterDrives, CompareResult, CompareRow, DrivesTo, Quantile, Share, TunerComparison,
 };
-pub use drive::{Fastest, InEnvelope, SingleDrive};
+pub use drive::{Fastest, InEnvelope, QualityAt, RefusedSwitch, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
 pub use laps::Lap;

@@ -21,7 +21,7 @@ use crate::grid::GridSweep;
 use crate::own_drives::Driver;
 use crate::result::decided;
 use crate::service::write_outcome;
-use crate::single::{SingleDrive, fastest, in_envelope};
+use crate::single::{SingleDrive, fastest, in_envelope, refused};
 use crate::sweeping::{Place, Progress, Sweeping};
 use crate::validation::Validation;
 use crate::wire::Driven;
@@ -315,6 +315,7 @@ impl Schedule {
                 result.fastest = fastest(&self.config, self.sweeping.last_rows());
                 result.envelope =
                     in_envelope(&self.config, self.sweeping.last_rows(), driven.record.stopped_for);
+                result.refused = refused(self.sweeping.last_rows());
                 result.drives_recorded = recorded;
                 result.drives_lacking = lacking;
                 result.laps = laps;

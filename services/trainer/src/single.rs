@@ -119,6 +119,7 @@ impl SingleDrive {
             envelope: None,
             joined: has(report.flags, DriveReport::JOINED),
             switches,
+            refused: Vec::new(),
             drives_recorded: Vec::new(),
             drives_lacking: BTreeMap::new(),
             laps: BTreeMap::new(),
@@ -142,6 +143,9 @@ pub(crate) fn fastest(config: &RunConfig, rows: &[Row]) -> Option<outcome::Faste
     speeds.max_by(|a, b| share(a).total_cmp(&share(b)))
 }
 
+/// The quality of tracking is told as often.
+const QUALITY_EVERY_S: f64 = 1.0;
+
 /// Where a recorded drive was in the configuration's envelope, as the supervisor saw it; `None` if there is none.
 /// `stopped_for` is what the gate stopped it for.
 pub(crate) fn in_envelope(
@@ -155,7 +159,8 @@ pub(crate) fn in_envelope(
     let reference = Reference::new(config);
     let path = reference.path();
     let mut follower = PathFollower::default();
-    let mut alarm = None;
+    let (mut alarm, mut quality) = (None, Vec::new());
+    let every = (QUALITY_EVERY_S / config.drive.tick_s).round().max(1.0) as u64;
     for row in rows.iter().take_while(|row| row.flags & Command::ENDED == 0) {
         if row.flags & STOPPED != 0 {
             envelope.lose();
@@ -170,6 +175,11 @@ pub(crate) fn in_envelope(
         envelope.follow(follower.along_m(path, x_m, y_m));
         envelope.tell(row.command_steering_rad);
         alarm = alarm.or(envelope.alarm());
+        let observed = envelope.quality();
+        if row.tick % every == every - 1 && !observed.is_nan() {
+            let (calibrated, sd) = envelope.calibrated_quality().unzip();
+            quality.push(outcome::QualityAt { at_s: row.time_s, observed, calibrated, sd });
+        }
     }
     let (score, worst) = envelope.score();
     let channel = &file.channels[worst];
@@ -184,8 +194,30 @@ pub(crate) fn in_envelope(
         out_at_tick: alarm.map(|it| it.tick),
         out_by: by.map(|it| it.kind.clone()),
         out_over_s: by.map(|it| it.over_s),
+        quality,
         action: acted.map(|it| Safety::action_name(it.channel.reason()).to_owned()),
     })
+}
+
+/// Where changes of the parameters were put off in a recorded drive.
+pub(crate) fn refused(rows: &[Row]) -> Vec<outcome::RefusedSwitch> {
+    let mut refused: Vec<outcome::RefusedSwitch> = Vec::new();
+    let mut waits = false;
+    for row in rows {
+        match (waits, has(row.flags, Command::SWITCH_REFUSED)) {
+            (false, true) => {
+                refused.push(outcome::RefusedSwitch { from_tick: row.tick, until_tick: None });
+            }
+            (true, false) => {
+                if let Some(last) = refused.last_mut() {
+                    last.until_tick = Some(row.tick);
+                }
+            }
+            _ => {}
+        }
+        waits = has(row.flags, Command::SWITCH_REFUSED);
+    }
+    refused
 }
 
 /// Names of what was wrong.
