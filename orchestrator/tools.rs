@@ -4,7 +4,7 @@ use crate::identify;
 use config::{Parameters, RunConfig};
 use monitor::MonitorError;
 use orchestrator::cli::{CompareArgs, MonitorArgs, RecordArgs, ReplayArgs};
-use orchestrator::runs::{LivingRun, living_run};
+use orchestrator::runs::{LivingRun, known_of_car, living_run};
 use orchestrator::words::{Failure, print_line};
 use orchestrator::{Services, StudyTools, Tools, commands};
 use replayer::reviewer::Outcome;
@@ -22,9 +22,11 @@ pub(crate) const TOOLS: Tools = Tools {
     replay,
     margin: trainer::margin,
     ground,
+    zone_regions: certificate::zone_regions,
     certify: crate::certify::certify,
     calibrate: crate::calibrate::calibrate,
     journal: crate::calibrate::journal::note,
+    evidence: crate::calibrate::journal::evidence,
     identify: identify::identify,
     path_of_bag: crate::path_bag::read,
 };
@@ -60,6 +62,9 @@ fn compare(args: &CompareArgs) -> Result<(), Failure> {
 fn look(args: MonitorArgs) -> Result<(), Failure> {
     let MonitorArgs { run, vehicle, json, csv, duration, once, budget, prometheus } = args;
     let LivingRun { names, folder } = living_run(run.name())?;
+    if let Some(words) = known_of_car(&folder) {
+        eprintln!("pathtune: {words}");
+    }
     let options =
         monitor::Options { names, folder, vehicle, json, csv, duration, once, budget, prometheus };
     monitor::run(&options).map_err(|error| match error {

@@ -5,6 +5,8 @@ mod support;
 use std::fs;
 use std::process::Output;
 
+use config::RunConfig;
+use rollout::Rollout;
 use serde_json::Value;
 use support::Sandbox;
 
@@ -136,4 +138,58 @@ fn the_gains_of_a_training_are_certified() {
         assert_eq!(set["gains"][key], result["gains"][key]);
     }
     refused(&sandbox, &["first", "--law", "paper"], &["--law", "leave it out"]);
+}
+
+#[test]
+fn gains_change_only_where_the_ones_to_come_are_certain_to_hold_the_car() {
+    let sandbox = Sandbox::new();
+    let drive = |out: &str, args: &[&str]| {
+        let named = ["drive", "circuit", "--gains", PAIR, "--out", out];
+        let settings = ["--set", "collision.enabled=false", "--set", "vehicle.gear_engaged=true"];
+        sandbox.run(&[&named, &settings[..], args].concat())
+    };
+    // The paper's switches are inside: nothing changes.
+    let plain = drive("plain", &[]);
+    assert!(plain.status.success(), "{}", stderr(&plain));
+    let held = drive("held", &["--hold-switches"]);
+    assert!(
+        stderr(&held).contains("they change only within the certified regions of"),
+        "{}",
+        stderr(&held)
+    );
+    assert_eq!(sandbox.result("held")["digest"], sandbox.result("plain")["digest"]);
+    assert!(sandbox.result("held")["refused"].is_null());
+
+    // A pose that jumps by decimetres may be outside, until it is inside again.
+    let noisy = ["--hold-switches", "--noise", "--set", "noise.position_sd_m=0.6"];
+    let fast = ["--set", "reference.speed_mps=4.0", "--set", "drive.loop_time_s=50.0"];
+    let driven = drive("noisy", &[&noisy[..], &fast].concat());
+    let result = sandbox.result("noisy");
+    let refused = result["refused"].as_array().unwrap();
+    assert!(!refused.is_empty(), "{}", stderr(&driven));
+    assert!(stdout(&driven).contains("a change of gains was put off from"), "{}", stdout(&driven));
+    // The same ticks as by plain calls.
+    let config = RunConfig::from_resolved(&sandbox.text("noisy/config.toml")).unwrap();
+    assert!(!config.switch_regions.is_empty());
+    let sets = config.law.parse_sets(PAIR).unwrap();
+    let (mut zone, mut entered) = (0, Vec::new());
+    let by_zone = config.sets_by_zone(&sets);
+    Rollout::new(&config).drive_scheduled(&by_zone, Some(config.run.seed), |tick, it| {
+        if it.zone != zone {
+            zone = it.zone;
+            entered.push((tick + 1, zone as u64));
+        }
+    });
+    let switches = result["switches"].as_array().unwrap().iter();
+    let told: Vec<(u64, u64)> =
+        switches.map(|it| (it["tick"].as_u64().unwrap(), it["zone"].as_u64().unwrap())).collect();
+    assert!(told.len() > 1 && told.iter().all(|it| entered.contains(it)), "{told:?} {entered:?}");
+
+    let one = sandbox.run(&["drive", "lane_change", "--hold-switches"]);
+    assert_eq!(one.status.code(), Some(64));
+    assert!(stderr(&one).contains("--hold-switches: the gains do not change along the path"));
+    let late = drive("late", &["--hold-switches", "--set", "vehicle.steering_delay_s=0.1"]);
+    assert_eq!(late.status.code(), Some(64));
+    assert!(stderr(&late).contains("dead time"), "{}", stderr(&late));
+    sandbox.assert_clean();
 }

@@ -383,3 +383,60 @@ fn each_path_and_law_has_gains_of_its_own() {
     }
     sandbox.assert_clean();
 }
+
+#[test]
+fn an_envelope_goes_along_with_promoted_gains_and_is_found_by_their_drives() {
+    let (sandbox, _) = trained();
+    let calibrate = |args: &[&str]| {
+        let output = sandbox.run(&[&["calibrate", "first", "--drives", "40"], args].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+    };
+    // Calibrated for another car than the one that gets the gains.
+    calibrate(&[]);
+    let promote = ["gains", "promote", "first", "car.toml"];
+    let said = stderr(&sandbox.run(&[&promote[..], &["--dry-run"]].concat()));
+    for part in
+        ["first/envelope.toml: is left behind", "vehicle is tesla_model_3", "--vehicle car.toml"]
+    {
+        assert!(said.contains(part), "{part:?} is missing in {said}");
+    }
+    fs::remove_file(sandbox.path("first/envelope.toml")).unwrap();
+    calibrate(&["--vehicle", "car.toml"]);
+    let promoted = sandbox.run(&promote);
+    assert!(promoted.status.success(), "{}", stderr(&promoted));
+    let told = String::from_utf8_lossy(&promoted.stdout).into_owned();
+    let file = "car.lane_change.envelope.toml";
+    assert!(told.contains(file), "{told} {}", stderr(&promoted));
+    assert_eq!(sandbox.text(file), sandbox.text("first/envelope.toml"));
+
+    let drive = |out: &str, args: &[&str]| {
+        let named = ["drive", "lane_change", "--vehicle", "car.toml", "--noise", "--out", out];
+        // It drives from the first second on.
+        let engaged = ["--set", "vehicle.gear_engaged=true"];
+        sandbox.run(&[&named, &engaged[..], args].concat())
+    };
+    let first = drive("driven", &["--only-judge"]);
+    assert!(first.status.success(), "{}", stderr(&first));
+    assert!(stderr(&first).contains(&format!("held to {file}")), "{}", stderr(&first));
+    let seen = &sandbox.result("driven")["envelope"];
+    assert!(seen["score"].as_f64().unwrap() > 0.0 && seen["quality"].as_array().unwrap().len() > 1);
+    assert!(sandbox.text("driven/report/index.html").contains("In its envelope"));
+    assert_eq!(sandbox.text("driven/car.txt"), "no drive since this car was calibrated\n");
+    assert_eq!(sandbox.text(&format!("{file}.drives")).lines().count(), 1);
+    let second = drive("again", &["--only-judge", "--json", "--set", "run.seed=7"]);
+    let json: Value = serde_json::from_slice(&second.stdout).unwrap();
+    assert!(json["envelope"]["score"].is_number());
+    assert!(stderr(&second).contains("2 drives"), "{}", stderr(&second));
+    assert!(sandbox.text("again/car.txt").contains("1 drive,"));
+
+    // Other gains have nothing to do with it, and what it cannot judge it is not used for.
+    let other = drive("other", &["--gains", "3,21,21,0.7"]);
+    assert!(!stderr(&other).contains("envelope") && sandbox.result("other")["envelope"].is_null());
+    let faster = drive("faster", &["--set", "reference.speed_mps=1.2"]);
+    assert!(stderr(&faster).contains("is not used: it was calibrated for another drive, its path"));
+    fs::write(sandbox.path(file), "nothing").unwrap();
+    let broken = drive("broken", &[]);
+    assert_eq!(broken.status.code(), Some(64), "{}", stderr(&broken));
+    assert!(stderr(&broken).contains(file) && stderr(&broken).contains("calibrate again"));
+    sandbox.assert_clean();
+}

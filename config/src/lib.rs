@@ -35,6 +35,7 @@ mod speed_profile;
 mod start_at;
 mod stated;
 mod sweep;
+mod switches;
 mod textbook;
 mod tuned;
 mod validate;
@@ -58,6 +59,7 @@ pub use schema::*;
 pub use start_at::StartAt;
 pub use stated::{Spread, StatedNoise, Uncertainty};
 pub use sweep::{SweepKind, SweepPlan};
+pub use switches::ZoneRegion;
 pub use textbook::TextbookSet;
 pub use tuned::{PastGains, Provenance, Replacement, TunedGains};
 

@@ -57,6 +57,9 @@ pub struct RunConfig {
     /// Whether a drive that leaves its envelope is only told of, and not stopped.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub envelope_only_judges: bool,
+    /// The regions of the zones' gains to which their changes are held; empty if they are not.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub switch_regions: Vec<crate::ZoneRegion>,
     /// The keys that differ from run to run.
     pub run: Run,
     /// The vehicle.

@@ -21,6 +21,9 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
     let c = config;
     // First: whatever drives the vehicle, and the path, may be refused for what is wrong with it.
     vehicle(c)?;
+    for region in &c.switch_regions {
+        region.check(c.path.zones.len()).map_err(|why| ("switch_regions".to_owned(), why))?;
+    }
     if let Some(envelope) = &c.envelope {
         envelope.check().map_err(|why| ("envelope".to_owned(), why))?;
     }

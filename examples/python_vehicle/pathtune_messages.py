@@ -181,6 +181,7 @@ class Command(Struct):
     STOPPED = 512
     BRAKED = 1024
     STEERED = 2048
+    SWITCH_REFUSED = 4096
 
     @staticmethod
     def type_name() -> str:

@@ -223,6 +223,8 @@ constants!(
     pub const BRAKED: u32 = 1024;
     /// Degraded or stopping, the law goes on steering, and the reference's clock comes to rest.
     pub const STEERED: u32 = 2048;
+    /// The vehicle is in a zone whose gains are not certain to hold it as it drives now: it keeps the gains that it has.
+    pub const SWITCH_REFUSED: u32 = 4096;
 );
 
 message!(
@@ -724,6 +726,7 @@ impl Command {
             (Self::STOPPED, "stopped"),
             (Self::BRAKED, "braked"),
             (Self::STEERED, "steered"),
+            (Self::SWITCH_REFUSED, "switch_refused"),
         ];
         those(flags, &names)
     }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::ErrorKind;
-use config::{Parameters, RunConfig};
+use config::{Parameters, RunConfig, ZoneRegion};
 use outcome::Margin;
 use runtime::limits;
 
@@ -22,6 +22,7 @@ use crate::runs::folder::refuse_earlier_run;
 use crate::runs::result::name_files;
 use crate::runs::setup::{BagReader, read_bags_with};
 use crate::study::{StudyTools, sweep};
+use crate::words::terminal::tell;
 use crate::words::{Failure, print_failure, print_line, print_usage_error};
 
 /// What the binary hands in: the parts that link services, which this library does not.
@@ -32,6 +33,9 @@ pub struct House {
     /// Tools that are used alongside a pipeline.
     pub tools: Tools,
 }
+
+/// What gives the regions to which changes of gains along a path are held; or why there are none.
+pub(crate) type RegionsOf = fn(&RunConfig, &[Parameters]) -> Result<Vec<ZoneRegion>, String>;
 
 /// Commands that observe a run from outside, or read what it has left.
 #[derive(Debug, Clone, Copy)]
@@ -53,12 +57,16 @@ pub struct Tools {
     /// The ground that a drive of our simulator takes with these parameters, the car's body and the way to a stop included:
     /// least and largest x, least and largest y (m), in the frame of the path.
     pub ground: fn(&RunConfig, &[Parameters]) -> [f64; 4],
+    /// Computes the regions to which changes of gains along a path are held.
+    pub zone_regions: RegionsOf,
     /// Says what is certain of gains; returns whether what it was to verify holds.
     pub certify: fn(&CertifyArgs) -> Result<bool, Failure>,
     /// Calibrates an envelope.
     pub calibrate: fn(&CalibrateArgs) -> Result<(), Failure>,
-    /// Notes a drive's score beside the envelope's file, and says whether the car has changed.
-    pub journal: fn(&Path, &Path) -> Result<(), Failure>,
+    /// Notes a drive's score beside the envelope's file, and says whether the car has changed, in words; none if nothing was driven.
+    pub journal: fn(&Path, &Path) -> Result<String, Failure>,
+    /// What an envelope's file has seen of its car, in words.
+    pub evidence: fn(&Path) -> Result<String, Failure>,
     /// Identifies a car from recorded drives.
     pub identify: fn(&IdentifyArgs) -> Result<(), Failure>,
     /// Reads the path of a bag of ROS 2.
@@ -111,14 +119,27 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
     let House { services, tools } = house;
     read_bags_with(tools.path_of_bag);
     let draw = |ended: EndedRun| name_files(&ended, (tools.report)(&ended.folder));
+    let of_drive = commands::DriveTools { regions: tools.zone_regions, evidence: tools.evidence };
     match command {
         Command::Train(args) => commands::train(&args, services).and_then(draw),
         Command::Validate(args) => commands::validate(&args, services).and_then(draw),
-        Command::Drive(args) => commands::drive(&args, services).and_then(|ended| {
-            let folder = ended.folder.clone();
-            draw(ended)?;
-            args.envelope.as_deref().map_or(Ok(()), |file| (tools.journal)(file, &folder))
-        }),
+        Command::Drive(args) => {
+            commands::drive(&args, services, of_drive).and_then(|(ended, held_to)| {
+                let folder = ended.folder.clone();
+                let drawn = draw(ended);
+                // A drive that was stopped counts, too.
+                if let Some(words) =
+                    held_to.map(|file| (tools.journal)(&file, &folder)).transpose()?
+                    && !words.is_empty()
+                {
+                    match args.setup.json {
+                        true => tell!("pathtune: {words}"),
+                        false => print_line(&words)?,
+                    }
+                }
+                drawn
+            })
+        }
         Command::Rearm { run, vehicle } => commands::rearm(run.name(), vehicle),
         Command::Grid(args) => commands::grid(&args, services).and_then(draw),
         Command::Compare(args) => (tools.compare)(&args),
@@ -140,7 +161,9 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Config(command) => commands::show_config(&command),
         Command::Conformance(args) => return conformance(&args),
         Command::Schema(args) => commands::print_schema(&args),
-        Command::Excite(args) => commands::excite(&args, services, tools.ground).and_then(draw),
+        Command::Excite(args) => {
+            commands::excite(&args, services, tools.ground, of_drive).and_then(draw)
+        }
         Command::Identify(args) => (tools.identify)(&args),
         Command::Gains(command) => commands::gains(&command, tools.margin),
         Command::Service { name, words } => services.run(&name, &words),

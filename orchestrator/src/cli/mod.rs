@@ -282,8 +282,12 @@ pub struct DriveArgs {
     #[arg(long, value_name = "FILE")]
     pub envelope: Option<PathBuf>,
     /// Only tell whether the drive was out of its envelope, and do not stop it for that
-    #[arg(long, requires = "envelope")]
+    #[arg(long)]
     pub only_judge: bool,
+    /// Put off a change of gains along the path as long as the gains to come are not certain to hold the vehicle as it
+    /// drives then: until V of their certified region is at most 1
+    #[arg(long)]
+    pub hold_switches: bool,
     /// Use one of our adapters instead of the simulator: ros2-vehicle; implies --realtime
     #[arg(long, value_name = "SERVICE", conflicts_with = "replace")]
     pub adapter: Option<String>,

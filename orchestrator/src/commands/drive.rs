@@ -9,18 +9,33 @@ use config::{
 use outcome::{Outcome, RESULT_FILE, read_result};
 
 use crate::cli::DriveArgs;
+use crate::commands::envelopes::of_promoted;
 use crate::commands::sweep::{Kind, list, no_paper_gains, parse_sets, plan, sweep};
+use crate::doorway::RegionsOf;
 use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
 use crate::runs::setup;
 use crate::words::Failure;
 use crate::words::tables;
 
-/// Drives once.
+/// What a drive needs of the tools that know more than the orchestrator.
+#[derive(Clone, Copy)]
+pub(crate) struct DriveTools {
+    /// The regions to which changes of gains are held.
+    pub(crate) regions: RegionsOf,
+    /// What an envelope's file has seen of its car, in words.
+    pub(crate) evidence: fn(&Path) -> Result<String, Failure>,
+}
+
+/// Drives once. Also returns the file of the envelope to which the drive was held.
 ///
 /// # Errors
 /// On a user's mistake, before anything is started; if the pipeline cannot be kept alive.
-pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Failure> {
+pub(crate) fn drive(
+    args: &DriveArgs,
+    services: Services,
+    tools: DriveTools,
+) -> Result<(EndedRun, Option<PathBuf>), Failure> {
     let mut layers = setup::layers(args.maneuver.as_deref(), &args.setup, None)?;
     if args.noise {
         layers.put("--noise", "noise.enabled", true)?;
@@ -30,16 +45,51 @@ pub(crate) fn drive(args: &DriveArgs, services: Services) -> Result<EndedRun, Fa
     }
     let mut config = layers.resolve()?;
     let (set, origin) = choose(args.gains.as_ref(), &args.from, &config)?;
-    let note = describe(&config, &set, &origin);
+    let mut note = describe(&config, &set, &origin);
+    let mut held_to = args.envelope.clone();
     if let Some(file) = &args.envelope {
         config.envelope = Some(Box::new(envelope(file, &config, &set)?));
-        config.envelope_only_judges = args.only_judge;
+    } else if args.gains.is_none() && args.from.is_empty() && !config.vehicle.gains.is_empty() {
+        match of_promoted(&config, &set)? {
+            Some(Ok((file, envelope))) => {
+                note += &format!("; held to {}, --only-judge does not stop it", file.display());
+                config.envelope = Some(Box::new(envelope));
+                held_to = Some(file);
+            }
+            Some(Err(why)) => note += &format!("; {why}"),
+            None => {}
+        }
     }
+    config.envelope_only_judges = args.only_judge && config.envelope.is_some();
+    if args.hold_switches {
+        note += &hold_switches(&mut config, &set, tools.regions)?;
+    }
+    let car = held_to.as_deref().map(tools.evidence).transpose()?;
     config.run.fleet = 1;
     let realtime = config.run.realtime;
     let plan = SweepPlan { realtime, ..plan(&config, SweepKind::Drive, 0, &[set]) };
-    let kind = Kind { name: "drive", vehicle: args.adapter.as_deref(), note: Some(&note) };
-    sweep(&args.setup, config, services, plan, kind)
+    let (vehicle, note) = (args.adapter.as_deref(), Some(&*note));
+    let kind = Kind { name: "drive", vehicle, note, car: car.as_deref() };
+    Ok((sweep(&args.setup, config, services, plan, kind)?, held_to))
+}
+
+/// Holds the changes of gains along the path to certified regions; returns how many, in words.
+fn hold_switches(
+    config: &mut RunConfig,
+    sets: &[Parameters],
+    regions_of: RegionsOf,
+) -> Result<String, Failure> {
+    let wrong = |why: &str| Failure::User(format!("--hold-switches: {why}; leave it out"));
+    if sets.len() == 1 {
+        return Err(wrong("the gains do not change along the path"));
+    }
+    config.switch_regions = regions_of(config, sets).map_err(|why| wrong(&why))?;
+    let held = config.switch_regions.len();
+    if held == 0 {
+        return Err(wrong("no zone's gains have a certified region where it begins"));
+    }
+    let zones = config.path.zones.len();
+    Ok(format!("; they change only within the certified regions of {held} of {zones} zones"))
 }
 
 /// Reads an envelope, which must be one for this drive.

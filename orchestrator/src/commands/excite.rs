@@ -8,7 +8,7 @@ use config::{Parameters, RunConfig};
 
 use crate::cli::{Cli, Command, ExciteArgs};
 use crate::commands::sweep::parse_sets;
-use crate::commands::{drive, vehicle_of};
+use crate::commands::{DriveTools, drive, vehicle_of};
 use crate::pipeline::services::Services;
 use crate::runs::{EndedRun, setup};
 use crate::words::Failure;
@@ -34,6 +34,7 @@ pub(crate) fn excite(
     args: &ExciteArgs,
     services: Services,
     ground: fn(&RunConfig, &[Parameters]) -> [f64; 4],
+    tools: DriveTools,
 ) -> Result<EndedRun, Failure> {
     let vehicle = vehicle_of(Path::new(&args.vehicle))?;
     // As much lateral acceleration for its size as a full-size car has.
@@ -110,7 +111,7 @@ pub(crate) fn excite(
             );
         }
     }
-    let ended = drive(&as_drive, services)?;
+    let (ended, _) = drive(&as_drive, services, tools)?;
     if ended.stopped.is_none() {
         let recording = ended.folder.join("recording.mcap");
         say!("pathtune identify {} --vehicle {}", recording.display(), args.vehicle);

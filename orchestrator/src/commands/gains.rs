@@ -6,8 +6,8 @@ use std::path::Path;
 use config::promote::{self, changes, geometry_difference, large_changes, rollback_place};
 use config::slots;
 use config::{
-    LawConfig, Layers, NamedParameters, Parameters, Provenance, RunConfig, TunedGains, Vehicle,
-    law_preset, read_small,
+    LawConfig, Layers, MadeFor, NamedParameters, Parameters, Provenance, RunConfig, TunedGains,
+    Vehicle, law_preset, read_small,
 };
 use outcome::{
     Margin, OUTCOME_FILE, Outcome, OutcomeError, RESULT_FILE, read_decided, read_result,
@@ -15,6 +15,7 @@ use outcome::{
 use serde_json::{Map, Value, json};
 
 use crate::cli::GainsCommand;
+use crate::commands::envelopes::TakenAlong;
 use crate::runs::vehicle_file::VehicleFile;
 use crate::runs::{preflight, resolved_config};
 use crate::words::Failure;
@@ -260,10 +261,14 @@ fn promote(
             run.display()
         )));
     }
+    let along = trained.envelope(run, file, &vehicle, maneuver);
     let text = promote::promote(&target.text, maneuver, law, parameters, provenance)
         .map_err(|why| Failure::User(format!("{}: {why}", file.display())))?;
     if !dry_run {
         target.replace(&text)?;
+        if let Ok(Some(envelope)) = &along {
+            envelope.put()?;
+        }
     }
     // Printed only once nothing can be refused any more: a refusal is one line.
     if !trained.on_bound.is_empty() {
@@ -280,6 +285,11 @@ fn promote(
     say_changes(file, maneuver, &what, old, (law, parameters))?;
     if let Some(margin) = &margin {
         say!("{}", said(margin));
+    }
+    match &along {
+        Ok(Some(envelope)) => say!("{}: the envelope of these gains", envelope.file().display()),
+        Ok(None) => {}
+        Err(why) => tell!("pathtune: warning: {why}"),
     }
     Ok(())
 }
@@ -428,6 +438,18 @@ impl Trained {
             on_bound: training.on_bound.clone(),
             fragile: plants.and_then(|it| it.fragile.clone()),
         })
+    }
+
+    /// The envelope that was calibrated for its gains, if there is one.
+    fn envelope(
+        &self,
+        run: &Path,
+        file: &Path,
+        vehicle: &Vehicle,
+        name: &str,
+    ) -> Result<Option<TakenAlong>, String> {
+        let made_for = MadeFor::of(&self.config, vec![self.parameters.clone()]);
+        TakenAlong::read(run, (file, &vehicle.name), name, &made_for)
     }
 
     /// How much later the steering of a vehicle may act with its gains: at the highest speed of the training's drive, or, if

@@ -16,7 +16,7 @@ use serde_json::json;
 use crate::pipeline::process::last_lines;
 use crate::pipeline::strays::sweep_dead_runs;
 use crate::runs::living_run;
-use crate::runs::state::{RunState, ShownRun};
+use crate::runs::state::{RunState, ShownRun, known_of_car};
 use crate::runs::temporary;
 use crate::words::Failure;
 use crate::words::terminal::say;
@@ -49,6 +49,9 @@ pub(crate) fn status(run: Option<&str>, as_json: bool, iox2: bool) -> Result<(),
             state.tick,
             state.folder.display()
         );
+        if let Some(words) = known_of_car(&state.folder) {
+            say!("  {words}");
+        }
         let mut table = Table::new();
         table.load_style(NOTHING).set_header([
             "  process",

@@ -4,6 +4,7 @@
 mod certify;
 mod compare;
 mod drive;
+mod envelopes;
 mod excite;
 mod gains;
 mod housekeeping;
@@ -19,7 +20,7 @@ pub use compare::{compare_configs, print_comparison, tell_compared};
 pub use identify::{Identified, conclude, roll_back, vehicle_of};
 pub use replay::{replay, replay_config};
 
-pub(crate) use drive::drive;
+pub(crate) use drive::{DriveTools, drive};
 pub(crate) use excite::excite;
 pub(crate) use gains::gains;
 pub(crate) use housekeeping::{clean, doctor, logs, status, stop};

@@ -1,5 +1,6 @@
 //! `pathtune validate` and `pathtune grid`: run lists of drives through the pipeline, and print their tables.
 
+use anyhow::Context;
 use config::launch::Role;
 use config::{MAX_FLEET, OverBy, Parameters, RunConfig, SweepKind, SweepPlan};
 use outcome::RunResult;
@@ -12,6 +13,7 @@ use crate::runs::EndedRun;
 use crate::runs::result::{conclude, write_result};
 use crate::runs::running::{RunFacts, run_or_unmake};
 use crate::runs::setup::{self, Folder, Ready};
+use crate::runs::state::CAR_FILE;
 use crate::words::Failure;
 use crate::words::terminal::tell;
 
@@ -165,11 +167,13 @@ pub(crate) struct Kind<'a> {
     pub(crate) vehicle: Option<&'a str>,
     /// Printed before the first drive.
     pub(crate) note: Option<&'a str>,
+    /// What is known of the car since its envelope was calibrated; for whoever looks at the run from another terminal.
+    pub(crate) car: Option<&'a str>,
 }
 
 impl<'a> Kind<'a> {
     fn named(name: &'a str) -> Self {
-        Self { name, vehicle: None, note: None }
+        Self { name, vehicle: None, note: None, car: None }
     }
 }
 
@@ -206,6 +210,11 @@ fn run_plan(
     // Printed after all checks of the user's options: a mistake is reported in a single line.
     if let Some(note) = kind.note.filter(|_| !ready.plan.quiet) {
         tell!("{note}");
+    }
+    if let Some(words) = kind.car {
+        let file = ready.plan.folder.join(CAR_FILE);
+        std::fs::write(&file, format!("{words}\n"))
+            .with_context(|| format!("failed to write {}", file.display()))?;
     }
     let facts = run_or_unmake(&ready, true)?;
     Ok((ready, facts))

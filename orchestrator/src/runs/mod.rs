@@ -14,4 +14,4 @@ pub(crate) mod vehicle_file;
 pub use folder::resolved_config;
 pub use result::EndedRun;
 pub use setup::BagReader;
-pub use state::{LivingRun, living_run};
+pub use state::{LivingRun, known_of_car, living_run};

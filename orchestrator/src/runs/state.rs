@@ -13,6 +13,9 @@ use serde::{Deserialize, Serialize};
 use crate::runs::preflight::check_resources_of_observer;
 use crate::words::Failure;
 
+/// Name of the file in a drive's folder that says what was known of the car when it began.
+pub(crate) const CAR_FILE: &str = "car.txt";
+
 /// What a living run reports about itself.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct RunState {
@@ -134,6 +137,12 @@ pub struct LivingRun {
     pub names: RunNames,
     /// Its output folder.
     pub folder: PathBuf,
+}
+
+/// What was known of the car since its envelope was calibrated when the drive in this folder began, in words.
+pub fn known_of_car(folder: &Path) -> Option<String> {
+    let text = read_small(&folder.join(CAR_FILE)).ok()?;
+    Some(text.lines().next()?.to_owned())
 }
 
 /// The living run that a user names by the beginning of its number or by its folder, or the only one there is.

@@ -267,6 +267,14 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
             digits(it.path_speed_mps, 2)
         );
     }
+    for it in &it.refused {
+        let at_s = |tick: u64| digits(tick as f64 * config.drive.tick_s, 1);
+        let until = it.until_tick.map_or("its end".to_owned(), |tick| format!("{} s", at_s(tick)));
+        say!(
+            "a change of gains was put off from {} s to {until}: the new ones were not certain to hold the vehicle (V above 1)",
+            at_s(it.from_tick)
+        );
+    }
     let how = how_stopped(it);
     let only_told = ipc_types::Safety::reason_names(ipc_types::Safety::TOLD);
     let (told, slowed): (Vec<String>, Vec<String>) =

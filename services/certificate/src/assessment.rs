@@ -194,6 +194,21 @@ impl<'a> Subject<'a> {
         if joints > MOST_JOINTS { joints } else { 0 }
     }
 
+    /// For each zone, where it begins and its gains.
+    pub(crate) fn zones(&self) -> &[(f64, Gains)] {
+        &self.zones
+    }
+
+    /// The curvature behind a place of the path.
+    pub(crate) fn curvature_at(&self, along_m: f64) -> f64 {
+        let mut ends_m = 0.0;
+        let holds = |piece: &&Piece| {
+            ends_m += piece.length_m;
+            along_m < ends_m
+        };
+        self.pieces.iter().find(holds).or(self.pieces.last()).map_or(0.0, |it| it.curvature)
+    }
+
     fn gains_at(&self, along_m: f64) -> Gains {
         let behind = self.zones.iter().rev().find(|(from_m, _)| *from_m <= along_m);
         behind.unwrap_or(&self.zones[0]).1

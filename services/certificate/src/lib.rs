@@ -29,6 +29,7 @@ mod simulated;
 mod simulated_law;
 mod small;
 mod spectrum;
+mod switches;
 mod vertices;
 
 pub use assessment::{AtSpeed, CLAIM, Certified, Extent, JointAtSpeed, SetAtSpeed, Subject};
@@ -42,4 +43,5 @@ pub use margin::additional_dead_time_s;
 pub use region::{Region, START};
 pub use segment::Equilibrium;
 pub use simulated::{LARGEST_LEVEL, STARTS, Simulated};
+pub use switches::zone_regions;
 pub use vertices::{HEADING_RAD, Intervals, State};

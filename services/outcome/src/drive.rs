@@ -55,6 +55,9 @@ pub struct SingleDrive {
     pub envelope: Option<InEnvelope>,
     /// Where the parameters changed.
     pub switches: Vec<Switch>,
+    /// Where changes of the parameters were put off, because the new ones were not certain to hold the vehicle as it drove.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub refused: Vec<RefusedSwitch>,
     /// The name of its recording in the run's folder `drives`.
     pub drives_recorded: Vec<String>,
     /// Ticks that a recorded drive lacks, by its name: by the clock, a process that is held up leaves ticks out.
@@ -63,6 +66,28 @@ pub struct SingleDrive {
     /// The laps of each recorded drive, by its name, where a closed path is driven several times.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub laps: BTreeMap<String, Vec<Lap>>,
+}
+
+/// How well it tracked at a moment, beside calibrated drives.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct QualityAt {
+    /// The moment, in seconds from the start.
+    pub at_s: f64,
+    /// The quality q = 1/(1 + √(Ē_y² + 10 Ē_θ²)), with the mean absolute lateral and heading errors of the last second.
+    pub observed: f64,
+    /// Its mean over the calibrated drives, as long after take-off; null where few of them lasted as long.
+    pub calibrated: Option<f64>,
+    /// Its standard deviation over them.
+    pub sd: Option<f64>,
+}
+
+/// A change of the parameters that was put off.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RefusedSwitch {
+    /// The first tick at which it was due.
+    pub from_tick: u64,
+    /// The tick from which on it was no longer refused; null if the drive ended before.
+    pub until_tick: Option<u64>,
 }
 
 /// A drive in its envelope.
@@ -89,6 +114,9 @@ pub struct InEnvelope {
     /// What the gate did about it: `rest`, `brake` or `brake_straight`, as `stopped_how`; null if the drive was only judged.
     #[serde(default)]
     pub action: Option<String>,
+    /// The quality of tracking, every second.
+    #[serde(default)]
+    pub quality: Vec<QualityAt>,
 }
 
 /// A speed beside that of the path.

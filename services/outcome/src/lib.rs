@@ -30,7 +30,7 @@ pub use comparison::{
     AfterDrives, CompareResult, CompareRow, CompareSubject, Compared, Course, DrivesTo, Quantile,
     Share, StudyComparison, TunerComparison, TunerCourses,
 };
-pub use drive::{Fastest, InEnvelope, SingleDrive};
+pub use drive::{Fastest, InEnvelope, QualityAt, RefusedSwitch, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
 pub use laps::Lap;

@@ -131,7 +131,7 @@ fn page_of(
             let sets = grid::read_sets(run, grid.size)?;
             grid::sections(&mut page, grid, sets, config)?;
         }
-        Outcome::Drive(drive) => drive::sections(&mut page, drive, config),
+        Outcome::Drive(drive) => drive::sections(&mut page, drive, config)?,
     }
     laps::section(&mut page, result.decided.outcome.laps());
     figures::sections(&mut page, &drives, config)?;

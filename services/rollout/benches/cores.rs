@@ -2,7 +2,7 @@
 //!
 //! `rollout_tick` is all of a tick; what stands above it should add up to about as much.
 
-use config::{Layers, Parameters, RunConfig};
+use config::{ChannelScale, Envelope, Layers, MadeFor, Parameters, Promise, RunConfig};
 use controller::clock::Phase;
 use controller::{ControlLaw, DriveController, Seen, Sight};
 use divan::counter::ItemsCount;
@@ -96,6 +96,51 @@ fn gate_and_watch(bencher: Bencher, vehicle: &str) {
     bencher.bench_local(move || {
         tick += 1;
         watch.see(tick, black_box(movement), true);
+        watch.command(0.01, 0, Some(black_box(wanted)))
+    });
+}
+
+/// An envelope that no drive leaves.
+fn wide() -> Envelope {
+    let of = |(index, (kind, over_s)): (usize, (&str, f64))| {
+        let numbers = if index < 2 { 100 } else { 1 };
+        let (mean, sd) = (vec![0.0; numbers], vec![1.0; numbers]);
+        ChannelScale { kind: kind.to_owned(), over_s, limit: 1e9, mean, sd }
+    };
+    Envelope {
+        made_for: MadeFor::of(&config("lane_change", "tesla_model_3"), Vec::new()),
+        promise: Promise {
+            alpha: 0.01,
+            delta: 0.01,
+            scaled_on: 500,
+            threshold_on: 500,
+            above: 0,
+            left_out: 0,
+            varied: String::new(),
+        },
+        threshold: 1.0,
+        channels: Envelope::CHANNELS.into_iter().enumerate().map(of).collect(),
+        scores: Vec::new(),
+    }
+}
+
+/// As `gate_and_watch` with the paper's car, which has no other watch, on a straight: without an envelope and with one.
+#[divan::bench(args = [false, true])]
+fn gate_in_an_envelope(bencher: Bencher, is_held: bool) {
+    let mut config = config("lane_change", "tesla_model_3");
+    config.envelope = is_held.then(|| Box::new(wide()));
+    let mut watch = Watch::new(&config);
+    let wanted = RawCommand { speed_mps: 2.0, yaw_rate_radps: 0.1, steering_rad: 0.05 };
+    let mut tick = 0;
+    bencher.bench_local(move || {
+        tick += 1;
+        let at = Pose { x_m: 0.02 * tick as f64, ..pose() };
+        watch.see(
+            tick,
+            black_box(Movement { pose: at, speed_mps: 2.0, yaw_rate_radps: 0.1 }),
+            true,
+        );
+        watch.follow(black_box(1.0));
         watch.command(0.01, 0, Some(black_box(wanted)))
     });
 }

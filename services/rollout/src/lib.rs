@@ -12,8 +12,8 @@ use config::{Parameters, RunConfig};
 use controller::clock::ReferenceClock;
 use controller::{Decision, DriveController, GateWord, Seen};
 use simulator::{Observation, SimulatedVehicle};
-use supervisor::{Movement, Pace, Passed, Progress, RawCommand, State, Watch};
-use tracking::{DriveRecord, Pose, ZoneTracker};
+use supervisor::{Movement, Pace, Passed, Progress, RawCommand, State, Watch, Zones};
+use tracking::{DriveRecord, Pose};
 
 pub use faulty::{Fault, FaultyCar};
 
@@ -71,7 +71,8 @@ pub struct Rollout<P = SimulatedVehicle> {
     fresh_watch: Watch,
     fresh_pace: Pace,
     tick_s: f64,
-    zones: ZoneTracker,
+    /// Zones at the start of the path, likewise.
+    fresh_zones: Zones,
     start: Pose,
     ticks: u64,
 }
@@ -101,7 +102,7 @@ impl<P: Plant> Rollout<P> {
             },
             fresh_pace: Pace::new(config),
             tick_s: config.drive.tick_s,
-            zones: ZoneTracker::new(config),
+            fresh_zones: Zones::new(config),
             start: config.path.start.into(),
             ticks: config.ticks(),
         }
@@ -133,7 +134,7 @@ impl<P: Plant> Rollout<P> {
         mut each: impl FnMut(u64, &TickRecord),
     ) -> DriveRecord {
         self.vehicle.reset(self.start, noise_seed);
-        self.zones.reset();
+        let mut zones = self.fresh_zones.clone();
         let mut watch = self.fresh_watch.clone();
         let mut pace = self.fresh_pace.clone();
         let mut clock = ReferenceClock::default();
@@ -173,7 +174,8 @@ impl<P: Plant> Rollout<P> {
             let gate = gate_word(&watch);
             self.controller.hear_gate(gate);
             rate = Some(watch.clock_rate(pace.rate()));
-            let entered = self.zones.update(pose, along_m);
+            let entered = zones.update(pose, along_m, raw.steering_rad);
+            zones.tell(passed.steering_rad);
             if entered != zone && by_zone.len() > 1 {
                 self.controller.switch_parameters(by_zone[entered]);
             }

@@ -24,6 +24,7 @@ mod road;
 pub mod service;
 mod unseen;
 mod watch;
+mod zones;
 
 pub use area::Footprint;
 pub use channel::Channel;
@@ -36,3 +37,4 @@ pub use pace::{Pace, Progress};
 pub use plausibility::{Movement, Plausibility};
 pub use response::Response;
 pub use watch::Watch;
+pub use zones::Zones;

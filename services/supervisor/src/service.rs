@@ -14,9 +14,9 @@ use ipc_types::{
 };
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
-use tracking::{Pose, Reference, ZoneTracker};
+use tracking::{Pose, Reference};
 
-use crate::{Movement, Pace, Progress, State, Watch};
+use crate::{Movement, Pace, Progress, State, Watch, Zones};
 use by_the_clock::Clocked;
 
 /// Runs the process until it is asked to stop.
@@ -49,7 +49,7 @@ struct Supervisor {
     reference: Reference,
     answer_age_limit_ns: u64,
     started_ns: u64,
-    /// A tracker and a pace at the start of the path, and a watch over a vehicle at rest, to be copied into new slots.
+    /// Zones and a pace at the start of the path, and a watch over a vehicle at rest, to be copied into new slots.
     fresh: PerPlant<Fresh>,
     config: RunConfig,
     slots: Vec<Slot>,
@@ -68,23 +68,19 @@ struct Supervisor {
 /// What a slot begins with.
 #[derive(Clone)]
 struct Fresh {
-    tracker: ZoneTracker,
+    zones: Zones,
     pace: Pace,
     watch: Watch,
 }
 
 impl Fresh {
     fn new(config: &RunConfig) -> Self {
-        Self {
-            tracker: ZoneTracker::new(config),
-            pace: Pace::new(config),
-            watch: Watch::new(config),
-        }
+        Self { zones: Zones::new(config), pace: Pace::new(config), watch: Watch::new(config) }
     }
 }
 
 struct Slot {
-    tracker: ZoneTracker,
+    zones: Zones,
     pace: Pace,
     watch: Watch,
     /// The last pose and speed that were finite.
@@ -137,10 +133,9 @@ impl Supervisor {
         }
         let Self { fresh, slots, config, .. } = self;
         slots.extend(requests.iter().map(|request| {
-            let Fresh { tracker, pace, watch } =
-                fresh.of(config, request.plant, Fresh::new).clone();
+            let Fresh { zones, pace, watch } = fresh.of(config, request.plant, Fresh::new).clone();
             Slot {
-                tracker,
+                zones,
                 pace,
                 watch,
                 measured: Pose {
@@ -252,7 +247,7 @@ impl Slot {
         self.watch.follow(raw.reference_along_m);
         let RawCommand { speed_mps: asked_mps, reference_along_m: along_m, origin_m, .. } = *raw;
         self.pace.update(tick, self.measured, Progress { asked_mps, along_m, origin_m });
-        let zone = self.tracker.update(self.measured, along_m);
+        let zone = self.zones.update(self.measured, along_m, raw.steering_rad);
         let is_new = zone != self.zone;
         self.zone = zone;
         is_new.then_some(zone as u32)
@@ -270,6 +265,7 @@ impl Slot {
             true => self.watch.end(dt_s, self.speed_mps),
             false => self.watch.command(dt_s, faults, raw),
         };
+        self.zones.tell(passed.steering_rad);
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
         let change = passed.change;
         let command = Command {
@@ -283,6 +279,7 @@ impl Slot {
                 | flag(change.acceleration_limited, Command::ACCELERATION_LIMITED)
                 | flag(change.steering_rate_limited, Command::STEERING_RATE_LIMITED)
                 | flag(change.lateral_limited, Command::LATERAL_LIMITED)
+                | flag(self.zones.is_refusing(), Command::SWITCH_REFUSED)
                 | match self.watch.state() {
                     State::Normal => 0,
                     State::Degraded => Command::DEGRADED,

@@ -18,6 +18,9 @@ use tracking::{
 
 use crate::recording::Row;
 
+/// The quality of tracking is told as often.
+const QUALITY_EVERY_S: f64 = 1.0;
+
 /// What is added up of a recording beside its rows.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Sums {
@@ -140,6 +143,9 @@ pub(crate) struct SingleSums {
     has_truth: bool,
     fastest: Option<outcome::Fastest>,
     in_envelope: Option<InEnvelope>,
+    /// Where changes of the parameters were put off.
+    refused: Vec<outcome::RefusedSwitch>,
+    waits: bool,
 }
 
 /// Where a drive is in the configuration's envelope, as the supervisor sees it.
@@ -149,6 +155,9 @@ struct InEnvelope {
     follower: PathFollower,
     /// The first one.
     alarm: Option<Alarm>,
+    /// Ticks between two places where the quality of tracking is told, and what it was there.
+    every: u64,
+    quality: Vec<outcome::QualityAt>,
 }
 
 impl SingleSums {
@@ -169,7 +178,11 @@ impl SingleSums {
                 envelope,
                 follower: PathFollower::default(),
                 alarm: None,
+                every: (QUALITY_EVERY_S / config.drive.tick_s).round().max(1.0) as u64,
+                quality: Vec::new(),
             }),
+            refused: Vec::new(),
+            waits: false,
         }
     }
 
@@ -198,6 +211,19 @@ impl SingleSums {
         if let Some(seen) = &mut self.in_envelope {
             seen.add(path, row);
         }
+        match (self.waits, has(row.flags, Command::SWITCH_REFUSED)) {
+            (false, true) => {
+                let refused = outcome::RefusedSwitch { from_tick: row.tick, until_tick: None };
+                self.refused.push(refused);
+            }
+            (true, false) => {
+                if let Some(last) = self.refused.last_mut() {
+                    last.until_tick = Some(row.tick);
+                }
+            }
+            _ => {}
+        }
+        self.waits = has(row.flags, Command::SWITCH_REFUSED);
         self.first_tick.get_or_insert(row.tick);
         self.last = (row.tick, row.x_m, row.y_m);
         self.has_truth |= (row.x_m, row.y_m) != (row.measured_x_m, row.measured_y_m);
@@ -219,6 +245,11 @@ impl SingleSums {
     /// Where the drive was fastest, compared with the path's speed.
     pub(crate) fn fastest(&self) -> Option<outcome::Fastest> {
         self.fastest
+    }
+
+    /// Where changes of the parameters were put off.
+    pub(crate) fn refused(&self) -> Vec<outcome::RefusedSwitch> {
+        self.refused.clone()
     }
 
     /// Where the drive was in the configuration's envelope, as the supervisor saw it; `None` if there is none. `stopped_for`
@@ -243,6 +274,7 @@ impl SingleSums {
             out_at_tick: alarm.map(|it| it.tick),
             out_by: by.map(|it| it.kind.clone()),
             out_over_s: by.map(|it| it.over_s),
+            quality: seen.quality.clone(),
             action: acted.map(|it| Safety::action_name(it.channel.reason()).to_owned()),
         })
     }
@@ -277,6 +309,11 @@ impl InEnvelope {
         self.envelope.follow(self.follower.along_m(path, x_m, y_m));
         self.envelope.tell(row.command_steering_rad);
         self.alarm = self.alarm.or(self.envelope.alarm());
+        let observed = self.envelope.quality();
+        if row.tick % self.every == self.every - 1 && !observed.is_nan() {
+            let (calibrated, sd) = self.envelope.calibrated_quality().unzip();
+            self.quality.push(outcome::QualityAt { at_s: row.time_s, observed, calibrated, sd });
+        }
     }
 }
 

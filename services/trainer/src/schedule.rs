@@ -322,6 +322,7 @@ impl Schedule {
                 result.fastest = sums.and_then(SingleSums::fastest);
                 result.envelope =
                     sums.and_then(|it| it.in_envelope(&self.config, driven.record.stopped_for));
+                result.refused = sums.map(SingleSums::refused).unwrap_or_default();
                 result.drives_recorded = recorded;
                 result.drives_lacking = lacking;
                 result.laps = laps;

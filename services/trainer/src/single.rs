@@ -89,6 +89,7 @@ impl SingleDrive {
             envelope: None,
             joined: has(report.flags, DriveReport::JOINED),
             switches,
+            refused: Vec::new(),
             drives_recorded: Vec::new(),
             drives_lacking: BTreeMap::new(),
             laps: BTreeMap::new(),

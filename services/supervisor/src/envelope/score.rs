@@ -79,6 +79,8 @@ pub struct Envelope {
     score: f64,
     worst: usize,
     quality: f64,
+    /// How old the drive was then, in blocks since take-off.
+    age: Option<usize>,
     alarm: Option<Alarm>,
 }
 
@@ -92,6 +94,7 @@ impl Envelope {
             score: 0.0,
             worst: 0,
             quality: f64::NAN,
+            age: None,
             alarm: None,
         })
     }
@@ -129,7 +132,7 @@ impl Envelope {
     }
 
     fn judge(&mut self, look: &Look) {
-        self.quality = look.values[0];
+        (self.quality, self.age) = (look.values[0], look.age);
         let mut worst = (0.0, self.worst);
         for (channel, scale) in self.file.channels.iter().enumerate() {
             let age = match look.age {
@@ -160,6 +163,14 @@ impl Envelope {
     /// The quality over the last second; NaN before the first.
     pub fn quality(&self) -> f64 {
         self.quality
+    }
+
+    /// Mean and standard deviation of the calibrated drives' quality, as long after take-off as that one; `None` if few of
+    /// them lasted as long.
+    pub fn calibrated_quality(&self) -> Option<(f64, f64)> {
+        let scale = &self.file.channels[0];
+        let age = self.age.filter(|age| is_calibrated(&scale.mean, *age))?;
+        Some((at(&scale.mean, age), at(&scale.sd, age)))
     }
 
     /// The first alarm.

@@ -111,7 +111,7 @@ impl Supervisor {
         self.entered.clear();
         for (index, (slot, raw)) in self.slots.iter_mut().zip(raw).enumerate() {
             if joins {
-                slot.tracker.resume(raw.reference_along_m);
+                slot.zones.resume(raw.reference_along_m);
                 if has(raw.flags, RawCommand::FROZEN) {
                     let is_straight = has(raw.flags, RawCommand::STRAIGHTENED);
                     let action = if is_straight { Action::BrakeStraight } else { Action::Brake };

@@ -1,0 +1,26 @@
+//! Regions of the gains that change along a path, each where its zone begins: in them a change of gains is certain to be held.
+
+use config::{Parameters, RunConfig, ZoneRegion};
+
+use crate::{Equilibrium, Intervals, Region, Subject};
+
+/// The regions of a path's zones with these sets, one for each manoeuvre that is due, at the speed of its reference. A zone
+/// whose gains have no certified region there has none.
+///
+/// # Errors
+/// If nothing can be certified of this car or law: why.
+pub fn zone_regions(config: &RunConfig, sets: &[Parameters]) -> Result<Vec<ZoneRegion>, String> {
+    let subject = Subject::new(config, sets)?;
+    if let Some(why) = subject.uncertain() {
+        return Err(why);
+    }
+    let speed_mps = config.reference.speed_mps;
+    let region = |(zone, (from_m, gains)): (usize, &(f64, _))| {
+        let curvature = subject.curvature_at(*from_m);
+        let at = Equilibrium::new(subject.car(), gains, speed_mps, curvature)?;
+        let Region { p, .. } = Region::find(subject.car(), gains, &at, Intervals::default())?;
+        let at = [at.offset_m, at.heading_rad, at.steering_rad, at.steering_rad];
+        Some(ZoneRegion { zone, at, p })
+    };
+    Ok(subject.zones().iter().enumerate().filter_map(region).collect())
+}
