@@ -4,16 +4,17 @@ mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
 
 use proptest::prelude::*;
 use proptest::sample::Index;
 use report::write_report;
 use serde_json::{Value, json};
 
-/// A run of each kind, in the memory of this test.
-static RUNS: LazyLock<Vec<(tempfile::TempDir, Vec<PathBuf>)>> = LazyLock::new(|| {
-    [support::train, support::validate, support::grid]
+type Run = (tempfile::TempDir, Vec<PathBuf>);
+
+thread_local! {
+    /// A run of each kind. A thread's own, because a static one would leave its folders behind.
+    static RUNS: Vec<Run> = [support::train, support::validate, support::grid]
         .into_iter()
         .map(|write| {
             let folder = tempfile::tempdir().unwrap();
@@ -21,8 +22,8 @@ static RUNS: LazyLock<Vec<(tempfile::TempDir, Vec<PathBuf>)>> = LazyLock::new(||
             let files = files_below(folder.path());
             (folder, files)
         })
-        .collect()
-});
+        .collect();
+}
 
 fn files_below(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
@@ -162,14 +163,18 @@ proptest! {
     #[test]
     fn a_damaged_run_is_a_page_or_one_line_that_names_the_file(kind in 0usize..3, damage in damage()) {
         // One thread runs all cases of a property.
-        let (folder, files) = &RUNS[kind];
-        let (file, was) = damage.inflict(folder.path(), files);
-        let written = write_report(folder.path());
-        fs::write(file, was).unwrap();
-        if let Err(error) = written {
-            let told = error.to_string();
-            prop_assert!(told.len() < 2000 && !told.contains('\n'), "{told}");
-            prop_assert!(files.iter().any(|it| told.contains(&*it.display().to_string())), "{told}");
-        }
+        RUNS.with(|runs| {
+            let (folder, files) = &runs[kind];
+            let (file, was) = damage.inflict(folder.path(), files);
+            let written = write_report(folder.path());
+            fs::write(file, was).unwrap();
+            if let Err(error) = written {
+                let told = error.to_string();
+                prop_assert!(told.len() < 2000 && !told.contains('\n'), "{told}");
+                let is_named = |file: &PathBuf| told.contains(&*file.display().to_string());
+                prop_assert!(files.iter().any(is_named), "{told}");
+            }
+            Ok(())
+        })?;
     }
 }

@@ -53,9 +53,12 @@ const AT_ONCE: usize = 64;
 /// Ticks between two credits: a quarter of what the vehicle may run ahead.
 const CREDIT_EVERY: u64 = Credit::AHEAD / 4;
 
-/// A recording that is not complete this long after its report will never be: by the clock a process that is held up
-/// leaves ticks out.
-pub(crate) const RECORDING_PATIENCE: Duration = Duration::from_millis(500);
+/// By the clock a recording that is not complete this long after its report will never be: a process that is held up leaves
+/// ticks out.
+const PATIENCE_BY_CLOCK: Duration = Duration::from_millis(500);
+/// In lockstep no tick is left out. But a drive may be made again after its report, if a process has died, and its recording
+/// with it: it is waited for as long as it grows, and until the dead process is back.
+const PATIENCE_IN_LOCKSTEP: Duration = Duration::from_secs(10);
 
 /// Records the drives of a batch that ask for it.
 pub(crate) struct Recorder {
@@ -77,6 +80,8 @@ pub(crate) struct Recorder {
     slots: Vec<Recorded>,
     ticks: u64,
     credited: u64,
+    by_clock: bool,
+    grew_ns: u64,
 }
 
 /// A batch whose request came while a recording of the batch before was not whole yet.
@@ -168,7 +173,18 @@ impl Recorder {
             slots: Vec::new(),
             ticks: 0,
             credited: 0,
+            by_clock: false,
+            grew_ns: 0,
         })
+    }
+
+    /// Whether a recording that is not complete by now will never be: the report of its drive came at `since_ns`.
+    pub(crate) fn has_waited_enough(&self, since_ns: u64) -> bool {
+        let (since_ns, patience) = match self.by_clock {
+            true => (since_ns, PATIENCE_BY_CLOCK),
+            false => (since_ns.max(self.grew_ns), PATIENCE_IN_LOCKSTEP),
+        };
+        now_ns().saturating_sub(since_ns) >= patience.as_nanos() as u64
     }
 
     /// Takes over what has come; returns whether there was anything.
@@ -177,7 +193,9 @@ impl Recorder {
             let (header, requests) = (request.header(), request.items().to_vec());
             self.next = Some(NextBatch { header, requests, since_ns: now_ns() });
         }
-        if let Some(next) = self.next.take_if(|next| !is_held_up(next, &self.batch, &self.slots)) {
+        if self.next.as_ref().is_some_and(|next| !self.is_held_up(next))
+            && let Some(next) = self.next.take()
+        {
             self.start_batch(next.header, &next.requests);
         }
         if self.slots.is_empty() {
@@ -205,6 +223,7 @@ impl Recorder {
         }
         self.batch = header;
         (self.ticks, self.credited) = (0, 0);
+        self.by_clock = requests.iter().any(|it| has(it.flags, DriveRequest::REAL_TIME));
         self.odometry.reset();
         self.errors.reset();
         self.commands.reset();
@@ -243,8 +262,19 @@ impl Recorder {
                 slot.growing.add(&row(tick, self.tick_s, odometry, error, command))?;
             }
             self.ticks = tick + 1;
+            self.grew_ns = now_ns();
         }
         Ok(())
+    }
+
+    /// Whether a batch must wait because the last messages of the one before are still on their way: a command travels one
+    /// hop further than the report. A batch that is driven again waits for nothing, and no batch waits for long: nobody may
+    /// want that recording any more.
+    fn is_held_up(&self, next: &NextBatch) -> bool {
+        next.header.attempt.batch != self.batch.attempt.batch
+            && self.slots.iter().any(|slot| !slot.is_taken)
+            && now_ns().saturating_sub(next.since_ns.max(self.grew_ns))
+                < PATIENCE_BY_CLOCK.as_nanos() as u64
     }
 
     /// Whether anything of a drive was recorded and not taken.
@@ -293,15 +323,6 @@ fn drop_before<M>(tick: u64, taken: &mut VecDeque<(u64, Vec<M>)>) {
     while taken.front().is_some_and(|(of, _)| *of < tick) {
         taken.pop_front();
     }
-}
-
-/// Whether a batch must wait because the last messages of the one before are still on their way: a command travels one
-/// hop further than the report. A batch that is driven again waits for nothing, and no batch waits for long: a recording
-/// with a gap never becomes whole.
-fn is_held_up(next: &NextBatch, batch: &BatchHeader, slots: &[Recorded]) -> bool {
-    next.header.attempt.batch != batch.attempt.batch
-        && slots.iter().any(|slot| !slot.is_taken)
-        && now_ns() - next.since_ns < RECORDING_PATIENCE.as_nanos() as u64
 }
 
 fn row(

@@ -12,7 +12,7 @@ use runtime::clock::now_ns;
 use tracking::LapRecorder;
 
 use crate::along::{SingleSums, Sums};
-use crate::recording::{RECORDING_PATIENCE, Recorder, Taken};
+use crate::recording::{Recorder, Taken};
 use crate::sweep::{PlannedDrive, Sweep};
 use crate::wire::{Driven, record_of};
 
@@ -169,7 +169,7 @@ impl Sweeping {
         let waited = !self.unrecorded.is_empty();
         let mut waiting = Vec::new();
         for (report, since_ns) in self.unrecorded.drain(..) {
-            let must_be_whole = now_ns() - since_ns < RECORDING_PATIENCE.as_nanos() as u64;
+            let must_be_whole = !recorder.has_waited_enough(since_ns);
             let DriveReport { learner, step, ticks, .. } = report;
             let Some(taken) = recorder.take(learner, step, ticks, must_be_whole)? else {
                 waiting.push((report, since_ns));
