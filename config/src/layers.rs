@@ -8,7 +8,9 @@ use toml_edit::TableLike;
 
 use crate::lengths::fit_lengths;
 use crate::presets::{hint, maneuver_names, names_in, nearest, preset};
-use crate::{ConfigError, Limit, RunConfig, Vehicle, tuned, validate, vehicles};
+use crate::{
+    ConfigError, FULL_SIZE_WHEELBASE_M, Limit, RunConfig, Vehicle, tuned, validate, vehicles,
+};
 
 /// A stack of layers: the topmost value of each key, with its origin.
 #[derive(Debug, Clone)]
@@ -515,9 +517,6 @@ impl Layers {
     }
 }
 
-/// The wheelbase of the car for whose errors the settings of the learners are made.
-const FULL_SIZE_M: f64 = 2.875;
-
 /// Fits what is made for the errors of a full-size car to a car of another size, on a path of the user's own and where
 /// nobody has set it: the range of the learners' states, which is a length, and the weight of a squared angle beside
 /// squared lengths.
@@ -525,7 +524,7 @@ fn scale_to_the_car(values: &mut Table, origins: &BTreeMap<String, String>) {
     let is_own_path =
         find(values, "maneuver").and_then(Value::as_str) == Some(crate::presets::OWN_PATH);
     let Some(wheelbase_m) = find(values, "vehicle.wheelbase_m").and_then(number) else { return };
-    let ratio = wheelbase_m / FULL_SIZE_M;
+    let ratio = wheelbase_m / FULL_SIZE_WHEELBASE_M;
     if !is_own_path || ratio == 1.0 || !(ratio > 0.0 && ratio.is_finite()) {
         return;
     }

@@ -122,7 +122,7 @@ impl RunConfig {
     /// How far from the path the vehicle may be; infinite if that is not watched.
     pub fn path_distance_limit_m(&self) -> f64 {
         let noise_m = if self.noise.enabled { self.noise.position_sd_m } else { 0.0 };
-        let derived_m = 3.0 * self.vehicle.wheelbase_m / 2.875 + noise_m;
+        let derived_m = 3.0 * self.vehicle.wheelbase_m / FULL_SIZE_WHEELBASE_M + noise_m;
         let limit = self.vehicle.safety.path_distance_limit_m;
         limit.or(if self.is_as_in_the_paper() { f64::INFINITY } else { derived_m })
     }
@@ -784,6 +784,10 @@ impl<'de> Deserialize<'de> for Limit {
         deserializer.deserialize_any(Reader)
     }
 }
+
+/// The wheelbase of a full-size car, m. What depends on a car's size, such as how far it may be from its path, is stated for
+/// this one and scaled with the wheelbase.
+pub const FULL_SIZE_WHEELBASE_M: f64 = 2.875;
 
 /// An area without bounds.
 fn anywhere() -> [f64; 4] {

@@ -13,6 +13,7 @@
 mod allowance;
 pub mod layout;
 mod messages;
+mod words;
 #[macro_use]
 pub mod topics;
 // Must come after the topics, whose macro it uses.

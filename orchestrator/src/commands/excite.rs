@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::path::Path;
 
 use clap::Parser;
-use config::{Parameters, RunConfig};
+use config::{FULL_SIZE_WHEELBASE_M, Parameters, RunConfig};
 
 use crate::cli::{Cli, Command, ExciteArgs};
 use crate::commands::sweep::parse_sets;
@@ -14,8 +14,6 @@ use crate::runs::{EndedRun, setup};
 use crate::words::Failure;
 use crate::words::terminal::{say, tell};
 
-/// The wheelbase for which 2 m/s are the usual speed.
-const FULL_SIZE_M: f64 = 2.875;
 /// Keys of such a drive. It follows no path, and how the car responds is what it is to find.
 const KEYS: [&str; 6] = [
     "path.pieces=[{kind='straight',length_m=2000.0}]",
@@ -38,7 +36,7 @@ pub(crate) fn excite(
 ) -> Result<EndedRun, Failure> {
     let vehicle = vehicle_of(Path::new(&args.vehicle))?;
     // As much lateral acceleration for its size as a full-size car has.
-    let usual_mps = 2.0 * (vehicle.wheelbase_m / FULL_SIZE_M).sqrt();
+    let usual_mps = 2.0 * (vehicle.wheelbase_m / FULL_SIZE_WHEELBASE_M).sqrt();
     let speed_mps = args.speed.unwrap_or((usual_mps * 100.0).round() / 100.0);
     let (usual_rad, mut turn_rad) = if args.compact { (0.2, 0.25) } else { (0.25, 0.0) };
     let mut steering_rad = args.steering.unwrap_or(usual_rad);

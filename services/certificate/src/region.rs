@@ -8,6 +8,7 @@
 // As in the equations: rows and columns by their numbers.
 #![allow(clippy::needless_range_loop)]
 
+use config::FULL_SIZE_WHEELBASE_M;
 use serde::{Deserialize, Serialize};
 
 use crate::check::{FALL, check};
@@ -20,9 +21,6 @@ use crate::{Car, Equilibrium, Gains};
 
 /// The start whose largest multiple is looked for: offset in metres for a car of 2.875 m, and heading either way.
 pub const START: (f64, f64) = (1.0, 0.3);
-
-/// The wheelbase for which [`START`] is meant.
-const FULL_SIZE_M: f64 = 2.875;
 
 /// Variables: ten of Q, four of Z, then α or the slack.
 const LAST: usize = 14;
@@ -79,7 +77,7 @@ impl Region {
 
 /// [`START`] for a car: m and rad.
 pub(crate) fn start(car: &Car) -> [f64; 2] {
-    [START.0 * car.wheelbase_m / FULL_SIZE_M, START.1]
+    [START.0 * car.wheelbase_m / FULL_SIZE_WHEELBASE_M, START.1]
 }
 
 /// A search. Its inequalities are written in coordinates z with x = T·z in which the ellipsoid at hand is the unit ball:

@@ -6,7 +6,7 @@
 //! steering is the single track's angle, tan δ = ω·L/v. Differences count by how long they last, in rad·s and in metres,
 //! so that noise, a lag that no file states and wheels that slip for a moment do not count for much.
 
-use config::RunConfig;
+use config::{FULL_SIZE_WHEELBASE_M, RunConfig};
 use ipc_types::Safety;
 use tracking::SteeringChain;
 
@@ -29,7 +29,6 @@ const STEERING_RAD: f64 = 0.05;
 /// smaller one leaves its path sooner, and less is too much, by the root of how much smaller it is.
 const REVERSED_RAD_S: f64 = 0.015;
 const ASTRAY_RAD_S: f64 = 0.05;
-const FULL_SIZE_M: f64 = 2.875;
 /// How much faster than told the vehicle may be: by this share, and by this speed.
 const SPEED_SHARE: f64 = 0.25;
 const SPEED_MPS: f64 = 0.3;
@@ -90,7 +89,7 @@ impl Response {
         let vehicle = &config.vehicle;
         let gear_s =
             if vehicle.gear_engaged { 0.0 } else { vehicle.gear_drive_s + vehicle.gear_poll_s };
-        let size = (vehicle.wheelbase_m / FULL_SIZE_M).min(1.0).sqrt();
+        let size = (vehicle.wheelbase_m / FULL_SIZE_WHEELBASE_M).min(1.0).sqrt();
         config.watches_response().then(|| Self {
             steering: SteeringChain::new(vehicle, config.drive.tick_s),
             speed_mps: 0.0,
