@@ -4,7 +4,7 @@ mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Output;
+use std::process::{Command, Output};
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -208,11 +208,32 @@ fn damage_costs_one_job_and_wrong_input_is_not_tried_again() {
     failed(&sandbox.run(&["sweep", "run", "study.jsonl", "--index", "2"]), 64, "holds no job 2");
     failed(&sandbox.run(&["sweep", "collect", "study.jsonl"]), 64, "damaged");
 
+    // A line less, which leaves no trace in the others.
+    let first = whole.lines().next().unwrap();
+    fs::write(sandbox.path("study.jsonl"), format!("{first}\n")).unwrap();
+    let output = sandbox.run(&["sweep", "collect", "study.jsonl"]);
+    failed(&output, 64, "1 line or record is damaged");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("study.jsonl: 1 job has no line (1); "), "{said}");
+
     // Whole again: what was done is done.
     fs::write(sandbox.path("study.jsonl"), &whole).unwrap();
     failed(&sandbox.run(&["sweep", "collect", "study.jsonl"]), 75, "1 job has no result");
     let status = ok(&sandbox.run(&["sweep", "status", "study.jsonl"]));
     assert!(status.contains("1 of 2 jobs are done, 1 missing, 0 failed\nmissing: 0"), "{status}");
+
+    // A pipe in a record's place is no record, and nobody waits for its writer.
+    ok(&sandbox.run(&["sweep", "run", "study.jsonl", "--index", "0"]));
+    let manifest: Value = serde_json::from_str(first).unwrap();
+    let job = manifest["job"].as_str().unwrap();
+    let record = sandbox.path("study.results").join(&job[..2]).join(format!("{job}.json"));
+    fs::remove_file(&record).unwrap();
+    assert!(Command::new("mkfifo").arg(&record).status().unwrap().success());
+    let output = sandbox.run(&["sweep", "collect", "study.jsonl"]);
+    failed(&output, 64, "1 line or record is damaged");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("not a regular file"), "{output:?}");
+    ok(&sandbox.run(&all));
+    ok(&sandbox.run(&["sweep", "collect", "study.jsonl"]));
 
     // A vehicle's file that has changed since the study was planned.
     fs::write(sandbox.path("car.toml"), "wheelbase_m = 2.5\n").unwrap();

@@ -151,12 +151,12 @@ pub(crate) fn collect(
     let (mut damages, mut groups) = (Damages::default(), Groups::default());
     let mut comparisons = Comparisons::default();
     let mut lacking = Vec::new();
-    for (number, line) in (0..).zip(manifest.lines()?) {
+    let mut lines = manifest.lines()?;
+    for line in lines.by_ref() {
         let job = match line {
             Ok(job) => job,
             Err(line) => {
                 damages.tell(&line.message);
-                lacking.push(number);
                 continue;
             }
         };
@@ -182,6 +182,8 @@ pub(crate) fn collect(
             .write_record(row.chain(cells.iter().map(String::as_str)))
             .map_err(|error| fail(&error))?;
     }
+    lacking.extend(lines.lost());
+    lacking.sort_unstable();
     let file = table.into_inner().map_err(|error| fail(&error.into_error()))?;
     file.into_inner().map_err(|error| fail(&error.into_error()))?;
     fs::rename(&part, &out).map_err(|error| fail(&error))?;

@@ -13,10 +13,13 @@ use config::open_regular;
 use serde::{Deserialize, Serialize};
 
 use crate::study::axes::compared_over;
+use crate::study::status::{jobs_have, ranges};
 use crate::words::Failure;
 
 /// The longest line that is read; that of a job has some 300 bytes.
 const LONGEST: u64 = 64 << 10;
+/// The most jobs of a study: what is noted of each while a manifest is read stays below 16 MiB.
+const MOST_JOBS: u64 = 100_000_000;
 
 /// One job of a study, as in its line.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,31 +34,44 @@ pub(crate) struct Job {
     pub(crate) command: Vec<String>,
 }
 
+/// A line, but for its checksum.
 #[derive(Serialize, Deserialize)]
-struct Line {
+struct Line<J> {
     #[serde(flatten)]
-    job: Job,
+    job: J,
+    /// Number of jobs in the manifest: a line that is lost can be missed.
+    of: u64,
+}
+
+#[derive(Deserialize)]
+struct Checked {
+    #[serde(flatten)]
+    line: Line<Job>,
     /// CRC-32 of the line without this key.
     check: String,
 }
 
 impl Job {
-    /// Its line, without padding and line feed.
-    fn to_line(&self) -> String {
-        let text = serde_json::to_string(self).expect("plain data");
+    /// Its line in a manifest of so many jobs, without padding and line feed.
+    fn to_line(&self, of: u64) -> String {
+        let text = serde_json::to_string(&Line { job: self, of }).expect("plain data");
         let check = checksum(&text);
         format!("{},\"check\":\"{check}\"}}", text.strip_suffix('}').expect("an object"))
     }
 
-    /// Reads a line.
-    fn parse(line: &str) -> Result<Self, String> {
-        let Line { job, check } =
+    /// Reads a line: the job, and the number of jobs in its manifest.
+    fn parse(line: &str) -> Result<(Self, u64), String> {
+        let Checked { line, check } =
             serde_json::from_str(line.trim_end()).map_err(|error| error.to_string())?;
-        let text = serde_json::to_string(&job).expect("plain data");
+        let text = serde_json::to_string(&line).expect("plain data");
+        let Line { job, of } = line;
         if checksum(&text) != check || job.job.len() != IDENTITY || !is_hex(&job.job) {
             return Err("its checksum does not fit".to_owned());
         }
-        Ok(job)
+        if job.index >= of || of > MOST_JOBS {
+            return Err(format!("there is no job {} of {of}", job.index));
+        }
+        Ok((job, of))
     }
 
     /// The command as it is typed into a shell; what no option of it says follows as a comment.
@@ -85,11 +101,15 @@ pub(crate) fn write(
     path: &Path,
     mut each: impl FnMut(&mut dyn FnMut(&Job) -> Result<(), Failure>) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
-    let mut longest = 0;
+    let (mut longest, mut of) = (0, 0);
     each(&mut |job| {
-        longest = longest.max(job.to_line().len());
+        longest = longest.max(job.to_line(MOST_JOBS).len());
+        of += 1;
         Ok(())
     })?;
+    if of > MOST_JOBS {
+        return Err(Failure::User(format!("{of} jobs; a study has at most {MOST_JOBS}")));
+    }
     if longest as u64 >= LONGEST {
         return Err(Failure::User(format!("a job's line has {longest} bytes; shorten its values")));
     }
@@ -100,7 +120,7 @@ pub(crate) fn write(
     let part = path.with_file_name(format!(".{name}.part"));
     let _ = std::fs::remove_file(&part);
     let mut file = std::io::BufWriter::new(File::create_new(&part).map_err(fail)?);
-    each(&mut |job| writeln!(file, "{:longest$}", job.to_line()).map_err(fail))?;
+    each(&mut |job| writeln!(file, "{:longest$}", job.to_line(of)).map_err(fail))?;
     file.into_inner().map_err(|error| fail(error.into_error()))?;
     std::fs::rename(&part, path).map_err(fail)
 }
@@ -176,52 +196,119 @@ impl Manifest {
         file.seek(SeekFrom::Start(index.checked_mul(self.width)?)).ok()?;
         let mut line = String::new();
         file.take(self.width).read_to_string(&mut line).ok()?;
-        Job::parse(&line).ok()
+        Some(Job::parse(&line).ok()?.0)
     }
 
-    /// All lines in their order: jobs, and lines that are damaged.
+    /// All lines in their order: jobs, lines that are damaged, and at last, if there are any, the jobs without a line.
     ///
     /// # Errors
     /// If the file cannot be opened.
-    pub(crate) fn lines(
-        &self,
-    ) -> Result<impl Iterator<Item = Result<Job, Damaged>> + use<>, Failure> {
+    pub(crate) fn lines(&self) -> Result<Lines, Failure> {
         let file = open_regular(&self.path).map_err(|error| {
             Failure::User(format!("{}: cannot be read: {error}", self.path.display()))
         })?;
-        let mut reader = BufReader::with_capacity(1 << 16, file);
-        let path = self.path.clone();
-        let mut number = 0_u64;
-        Ok(std::iter::from_fn(move || {
-            let mut bytes = Vec::new();
-            number += 1;
-            let damaged = |why: String| {
-                let place = format!("{}:{number}", path.display());
-                let way_on = "write the manifest again with `pathtune sweep plan`";
-                Some(Err(Damaged { message: format!("{place}: damaged ({why}); {way_on}") }))
-            };
-            match reader.by_ref().take(LONGEST).read_until(b'\n', &mut bytes) {
-                Ok(0) => None,
-                Ok(_) if bytes.last() != Some(&b'\n') && bytes.len() as u64 == LONGEST => {
-                    // The rest of a line without end is skipped, in pieces.
-                    let _ = reader.skip_until(b'\n');
-                    damaged(format!("longer than {} KiB", LONGEST >> 10))
-                }
-                Ok(_) => match std::str::from_utf8(&bytes) {
-                    Ok(line) => match Job::parse(line) {
-                        Ok(job) => Some(Ok(job)),
-                        Err(why) => damaged(why),
-                    },
-                    Err(_) => damaged("not UTF-8".to_owned()),
-                },
-                Err(error) => {
-                    // Nothing more can be read: this is the last item.
-                    bytes.clear();
-                    reader = BufReader::new(open_regular(Path::new("/dev/null")).ok()?);
-                    damaged(error.to_string())
-                }
+        Ok(Lines {
+            path: self.path.clone(),
+            reader: Some(BufReader::with_capacity(1 << 16, file)),
+            number: 0,
+            damaged: 0,
+            of: None,
+            seen: Vec::new(),
+        })
+    }
+}
+
+/// Reads the lines of a manifest one after the other.
+#[derive(Debug)]
+pub(crate) struct Lines {
+    path: PathBuf,
+    /// Until the end.
+    reader: Option<BufReader<File>>,
+    /// Lines read so far, and how many of them were damaged.
+    number: u64,
+    damaged: u64,
+    /// Number of jobs in the manifest, as its first whole line says.
+    of: Option<u64>,
+    /// The jobs seen, a bit each.
+    seen: Vec<u64>,
+}
+
+impl Lines {
+    /// Number of jobs in the manifest; of lines, if no line is whole. To be asked at the end.
+    pub(crate) fn jobs(&self) -> u64 {
+        self.of.unwrap_or(self.number)
+    }
+
+    /// The jobs of which no whole line was seen. To be asked at the end.
+    pub(crate) fn lost(&self) -> Vec<u64> {
+        let is_seen = |index: &u64| {
+            self.seen.get((index / 64) as usize).is_some_and(|bits| bits >> (index % 64) & 1 == 1)
+        };
+        (0..self.jobs()).filter(|index| !is_seen(index)).collect()
+    }
+
+    /// Takes a line that was read, with its line feed.
+    fn take(&mut self, line: &[u8]) -> Result<Job, String> {
+        let line = std::str::from_utf8(line).map_err(|_| "not UTF-8".to_owned())?;
+        let (job, of) = Job::parse(line)?;
+        if *self.of.get_or_insert(of) != of {
+            return Err("it belongs to another manifest".to_owned());
+        }
+        let (word, bit) = ((job.index / 64) as usize, 1 << (job.index % 64));
+        if self.seen.len() <= word {
+            self.seen.resize(word + 1, 0);
+        }
+        if self.seen[word] & bit != 0 {
+            return Err(format!("job {} again", job.index));
+        }
+        self.seen[word] |= bit;
+        Ok(job)
+    }
+
+    fn damage(&mut self, why: &str) -> Damaged {
+        self.damaged += 1;
+        let place = format!("{}:{}", self.path.display(), self.number);
+        Damaged { message: format!("{place}: damaged ({why}); {WAY_ON}") }
+    }
+
+    /// What is said at the end, if more jobs have no line than lines were damaged.
+    fn end(&self) -> Option<Damaged> {
+        let lost = self.lost();
+        let (path, have, ranges) = (self.path.display(), jobs_have(lost.len()), ranges(&lost));
+        (lost.len() as u64 > self.damaged)
+            .then(|| Damaged { message: format!("{path}: {have} no line ({ranges}); {WAY_ON}") })
+    }
+}
+
+const WAY_ON: &str = "write the manifest again with `pathtune sweep plan`";
+
+impl Iterator for Lines {
+    type Item = Result<Job, Damaged>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let reader = self.reader.as_mut()?;
+        let mut bytes = Vec::new();
+        match reader.take(LONGEST).read_until(b'\n', &mut bytes) {
+            Ok(0) => {
+                self.reader = None;
+                return self.end().map(Err);
             }
-        }))
+            Ok(_) => self.number += 1,
+            Err(error) => {
+                // Nothing more can be read: this is the last item.
+                self.reader = None;
+                self.number += 1;
+                return Some(Err(self.damage(&error.to_string())));
+            }
+        }
+        let taken = if bytes.last() != Some(&b'\n') && bytes.len() as u64 == LONGEST {
+            // The rest of a line without end is skipped, in pieces.
+            let _ = reader.skip_until(b'\n');
+            Err(format!("longer than {} KiB", LONGEST >> 10))
+        } else {
+            self.take(&bytes)
+        };
+        Some(taken.map_err(|why| self.damage(&why)))
     }
 }
 
@@ -259,6 +346,51 @@ mod tests {
         let why = manifest.job(12).unwrap_err();
         assert_eq!(why.code(), 64);
         assert!(why.message().contains("holds no job 12; they are 0 to 11"), "{}", why.message());
+    }
+
+    #[test]
+    fn lines_that_are_lost_or_there_twice_are_missed() {
+        let (_folder, path) = written(5);
+        let text = std::fs::read_to_string(&path).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        let (_other, other) = written(6);
+        let foreign = std::fs::read_to_string(other).unwrap();
+        let foreign = foreign.lines().next_back().unwrap();
+        // The lines that are left, what is said of them, and the jobs that are lost.
+        let cases: [(Vec<&str>, &[&str], &[u64]); 7] = [
+            (lines[..4].to_vec(), &["study.jsonl: 1 job has no line (4); "], &[4]),
+            (lines[2..].to_vec(), &["study.jsonl: 2 jobs have no line (0-1); "], &[0, 1]),
+            ([&lines[..], &lines[3..4]].concat(), &["study.jsonl:6: damaged (job 3 again); "], &[]),
+            (
+                [&lines[..2], &lines[..1], &lines[3..]].concat(),
+                &["study.jsonl:3: damaged (job 0 again)"],
+                &[2],
+            ),
+            ([&lines[..4], &["{"]].concat(), &["study.jsonl:5: damaged (EOF"], &[4]),
+            (
+                [&lines[..3], &["{"]].concat(),
+                &["study.jsonl:4: damaged (EOF", "study.jsonl: 2 jobs have no line (3-4)"],
+                &[3, 4],
+            ),
+            (
+                [&lines[..], &[foreign]].concat(),
+                &["study.jsonl:6: damaged (it belongs to another manifest)"],
+                &[],
+            ),
+        ];
+        for (left, said, lost) in cases {
+            std::fs::write(&path, left.join("\n") + "\n").unwrap();
+            let mut lines = Manifest::open(&path).unwrap().lines().unwrap();
+            let damaged: Vec<String> =
+                lines.by_ref().filter_map(|it| Some(it.err()?.message)).collect();
+            assert_eq!(damaged.len(), said.len(), "{damaged:?}");
+            assert!(damaged.iter().zip(said).all(|(it, part)| it.contains(part)), "{damaged:?}");
+            assert_eq!((lines.lost(), lines.jobs()), (lost.to_vec(), 5));
+        }
+        // The order of the lines is not what they say.
+        std::fs::write(&path, lines.iter().rev().map(|it| format!("{it}\n")).collect::<String>())
+            .unwrap();
+        assert!(Manifest::open(&path).unwrap().lines().unwrap().all(|it| it.is_ok()));
     }
 
     #[test]

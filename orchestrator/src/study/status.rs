@@ -71,10 +71,10 @@ pub(crate) fn ranges(numbers: &[u64]) -> String {
 pub(crate) fn status(at: &StudyArg, as_json: bool) -> Result<(), Failure> {
     let store = Store::of(at);
     let mut damages = Damages::default();
-    let (mut jobs, mut done) = (0_u64, 0_u64);
+    let mut done = 0_u64;
     let (mut missing, mut failed, mut damaged) = (Vec::new(), Vec::new(), Vec::new());
-    for line in Manifest::open(&at.manifest)?.lines()? {
-        jobs += 1;
+    let mut lines = Manifest::open(&at.manifest)?.lines()?;
+    for line in lines.by_ref() {
         match line {
             Err(line) => damages.tell(&line.message),
             Ok(job) => match store.standing(&job.job) {
@@ -88,6 +88,7 @@ pub(crate) fn status(at: &StudyArg, as_json: bool) -> Result<(), Failure> {
             },
         }
     }
+    let jobs = lines.jobs();
     if as_json {
         let failed: Vec<_> = failed
             .iter()

@@ -12,10 +12,10 @@
 //! find on many file systems. Everything is written beside and renamed, so that nobody reads half a file.
 
 use std::fs;
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use config::read_small;
+use config::{open_regular, read_small};
 
 use crate::cli::StudyArg;
 use crate::study::record::{Failed, MOST_BYTES, Record};
@@ -63,7 +63,10 @@ impl Store {
     /// How a job stands, by what lies in the folder.
     pub(crate) fn standing(&self, job: &str) -> Standing {
         let path = self.path(job, "json");
-        match fs::read(&path) {
+        match open_regular(&path).and_then(|file| {
+            let mut bytes = Vec::new();
+            file.take(MOST_BYTES as u64 + 1).read_to_end(&mut bytes).map(|_| bytes)
+        }) {
             Ok(bytes) if bytes.len() > MOST_BYTES => {
                 Standing::Damaged(format!("{}: damaged (too large)", path.display()))
             }
