@@ -18,6 +18,8 @@ use crate::words::Failure;
 
 /// The longest line that is read; that of a job has some 300 bytes.
 const LONGEST: u64 = 64 << 10;
+/// The most bytes of a line that are skipped in search of its end.
+const MOST_SKIPPED: u64 = 16 << 20;
 /// The most jobs of a study: what is noted of each while a manifest is read stays below 16 MiB.
 const MOST_JOBS: u64 = 100_000_000;
 
@@ -302,8 +304,11 @@ impl Iterator for Lines {
             }
         }
         let taken = if bytes.last() != Some(&b'\n') && bytes.len() as u64 == LONGEST {
-            // The rest of a line without end is skipped, in pieces.
-            let _ = reader.skip_until(b'\n');
+            // The rest of it is skipped, in pieces; after that much the file is none of ours.
+            let skipped = reader.take(MOST_SKIPPED).skip_until(b'\n');
+            if skipped.map_or(true, |bytes| bytes as u64 == MOST_SKIPPED) {
+                self.reader = None;
+            }
             Err(format!("longer than {} KiB", LONGEST >> 10))
         } else {
             self.take(&bytes)
