@@ -28,13 +28,25 @@ fn mean(
     sum / SEEDS as f64
 }
 
-/// With σ = 0.1 m and textbook parameters, on the smooth lane at 3.5 m/s and on an arc of 18 m at 4 m/s: a dead time of
-/// 0.2 s that the law knows to within 50 ms takes the car at most 1.6 × as far from the path as none. The laws that are
-/// precise enough to suffer from it do: without compensation at least 1.5 × as far.
+/// With σ = 0.1 m, on the smooth lane at 3.5 m/s and on an arc of 18 m at 4 m/s: a dead time of 0.2 s that the law knows to
+/// within 50 ms takes the car at most 1.6 × as far from the path as none. Without compensation it is at least 1.5 × as far,
+/// with the textbook parameters of `lqr` and `mpc`, and with livelier ones of the laws whose textbook parameters are calm
+/// enough to bear the dead time.
 #[test]
 fn a_known_dead_time_costs_little() {
+    // (law, parameters in the law's order, whether they suffer from the dead time)
+    let sets: [(&str, Option<[f64; 4]>, bool); 8] = [
+        ("paper", None, false),
+        ("paper", Some([1.0, 21.0, 3.0, 0.84]), true),
+        ("stanley", None, false),
+        ("stanley", Some([1.5, 4.0, 0.4, 0.96]), true),
+        ("pure_pursuit", None, false),
+        ("pure_pursuit", Some([0.5, 2.0, 0.4, 0.96]), true),
+        ("lqr", None, true),
+        ("mpc", None, true),
+    ];
     for (maneuver, speed) in [("smooth_lane", 3.5), ("roundabout", 4.0)] {
-        for law in ["paper", "stanley", "pure_pursuit", "lqr", "mpc"] {
+        for (law, set, suffers) in sets {
             let make = |delay_s: f64, compensated: bool| {
                 let speed = format!("reference.speed_mps={speed:?}");
                 let delay = format!("vehicle.steering_delay_s={delay_s}");
@@ -43,19 +55,20 @@ fn a_known_dead_time_costs_little() {
                 config(maneuver, law, &[&sets[..], &[&speed, &delay, &compensated]].concat())
             };
             let (prompt, late) = (make(0.0, true), make(0.2, true));
-            let parameters = prompt.law.defaults();
+            let parameters = set.map_or_else(|| prompt.law.defaults(), |set| Parameters::of(&set));
             let path_m = |believed: &RunConfig, car: &RunConfig| {
                 mean(believed, car, parameters, |drive| drive.path_mean_m)
             };
             let without_m = path_m(&prompt, &prompt);
-            for believed_s in [0.15, 0.2, 0.25] {
-                let ratio = path_m(&make(believed_s, true), &late) / without_m;
-                assert!(ratio <= 1.6, "{maneuver} {law}, {believed_s} s: {ratio:.2}");
-            }
-            let ratio = path_m(&make(0.2, false), &late) / without_m;
-            if ["lqr", "mpc"].contains(&law) {
-                assert!(ratio >= 1.5, "{maneuver} {law}, uncompensated: {ratio:.2}");
-            }
+            let known = [0.15, 0.2, 0.25]
+                .map(|believed_s| path_m(&make(believed_s, true), &late) / without_m);
+            let unknown = path_m(&make(0.2, false), &late) / without_m;
+            let told = format!(
+                "{maneuver} {law} {set:?}: {without_m:.4} m, × {known:.2?}, uncompensated × {unknown:.2}"
+            );
+            println!("{told}");
+            assert!(known.iter().all(|ratio| *ratio <= 1.6), "{told}");
+            assert!(!suffers || unknown >= 1.5, "{told}");
         }
     }
 }
