@@ -46,16 +46,24 @@ fn ground(config: &RunConfig, by_zone: &[Parameters]) -> [f64; 4] {
 
 /// Compares tuners.
 fn compare(args: &CompareArgs) -> Result<(), Failure> {
-    let configs = commands::compare_configs(args)?;
     let seeds = u64::from(args.seeds);
-    let tell = |tuner: &str, done| {
-        if done == seeds {
-            commands::tell_compared(args, tuner);
-        }
-    };
-    let compared =
-        trainer::compare::compare(&configs, seeds, args.drives, tell).map_err(Failure::User)?;
-    commands::print_comparison(args, &compared.result, &compared.rows)
+    let mut laws = Vec::new();
+    for configs in commands::compare_configs(args)? {
+        let tell = |tuner: &str, done| {
+            if done == seeds {
+                commands::tell_compared(args, &configs[0].law.name, tuner);
+            }
+        };
+        let compared = trainer::compare::compare(&configs, seeds, args.drives, tell);
+        laws.push(compared.map_err(Failure::User)?);
+    }
+    commands::print_comparisons(args, &laws)?;
+    if let Some(folder) = &args.report {
+        let page = report::write_compared(folder, &laws);
+        let page = page.map_err(|why| Failure::User(why.to_string()))?;
+        eprintln!("pathtune: {}", page.display());
+    }
+    Ok(())
 }
 
 /// Watches a living run.

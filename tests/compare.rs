@@ -46,6 +46,35 @@ fn tuners_are_compared_with_the_same_bytes_each_time() {
     sandbox.assert_clean();
 }
 
+/// Each law has the same tuners and budget, stands beside its textbook parameters, and `random` is there unasked.
+#[test]
+fn laws_are_compared_beside_their_textbook_parameters() {
+    let sandbox = Sandbox::new();
+    let args = ["compare", "smooth_lane", "--laws", "stanley,pure_pursuit", "--tuners", "sobol"];
+    let args = [&args[..], &["--seeds", "2", "--drives", "6"]].concat();
+    let laws: Value =
+        serde_json::from_str(&stdout(&sandbox, &[&args[..], &["--json"]].concat())).unwrap();
+    for (it, law) in laws.as_array().unwrap().iter().zip(["stanley", "pure_pursuit"]) {
+        assert_eq!(it["law"], law);
+        assert_eq!(it["tuners"][1]["tuner"], "random");
+        assert!(it["textbook_value"].as_f64().unwrap() >= it["best_value"].as_f64().unwrap());
+    }
+    let alone = ["compare", "smooth_lane", "--law", "stanley", "--tuners", "sobol", "--json"];
+    let alone = stdout(&sandbox, &[&alone[..], &["--seeds", "2", "--drives", "6"]].concat());
+    assert_eq!(laws[0], serde_json::from_str::<Value>(&alone).unwrap());
+    let told = stdout(&sandbox, &[&args[..], &["--report", "page"]].concat());
+    assert!(told.contains("smooth_lane, tesla_model_3_guarded, by path:"), "{told}");
+    let page = sandbox.text("page/index.html");
+    assert!(page.contains("above the best [%]") && page.contains("Level lines: textbook"));
+    for picture in ["laws", "regret", "regret-2", "study-compared"] {
+        assert!(sandbox.path(&format!("page/{picture}.svg")).is_file(), "{picture}");
+    }
+    let csv = stdout(&sandbox, &[&args[..], &["--csv"]].concat());
+    assert_eq!(csv.lines().count(), 1 + 2 * 2 * 2);
+    assert!(csv.lines().nth(1).unwrap().starts_with("stanley,sobol,1,"), "{csv}");
+    sandbox.assert_clean();
+}
+
 #[test]
 fn what_cannot_be_compared_is_told_in_a_line() {
     let sandbox = Sandbox::new();
@@ -59,6 +88,8 @@ fn what_cannot_be_compared_is_told_in_a_line() {
             &["lane_change", "--tuners", "gp", "--set", "tuner.settings.first=2.5"],
             "tuner.settings.first",
         ),
+        (&["lane_change", "--laws", "stanley,stanley"], "names stanley twice"),
+        (&["lane_change", "--laws", "stanly"], "did you mean stanley"),
         (&[], "name a manoeuvre"),
     ] {
         let output = sandbox.run(&[&["compare"], args].concat());

@@ -12,11 +12,12 @@ use super::{OverArgs, PathReading};
   pathtune compare lane_change
   pathtune compare roundabout --tuners gp,random,educated-q --seeds 200
   pathtune compare lane_change --noise --drives 30 --json
-  pathtune compare smooth_lane --law stanley --continuous --tuners gp,cmaes,random")]
+  pathtune compare smooth_lane --law stanley --continuous --tuners gp,cmaes,random
+  pathtune compare smooth_lane --laws paper,stanley,pure_pursuit --tuners gp --report laws")]
 pub struct CompareArgs {
     /// The manoeuvre: lane_change, smooth_lane, roundabout or circuit; may be left out with --path
     pub maneuver: Option<String>,
-    /// The tuners; `pathtune config list` lists them
+    /// The tuners; `pathtune config list` lists them. `random` is always there, for the others to be seen beside it
     #[arg(
         long,
         value_delimiter = ',',
@@ -54,6 +55,9 @@ pub struct CompareArgs {
     /// The control law: a preset, or a file that overrides keys of one [default: paper]
     #[arg(long, value_name = "NAME|FILE")]
     pub law: Option<String>,
+    /// Several laws, each with the same tuners, seeds and budget, and beside its textbook parameters
+    #[arg(long, value_delimiter = ',', value_name = "A,B,…", conflicts_with = "law")]
+    pub laws: Vec<String>,
     /// The objective by which drives are judged, smaller being better: a preset [default: distance]
     #[arg(long, value_name = "NAME")]
     pub objective: Option<String>,
@@ -63,6 +67,9 @@ pub struct CompareArgs {
     /// Set one key, overriding everything else; repeatable
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Write a page with tables and pictures into this folder: regret over drives
+    #[arg(long, value_name = "FOLDER")]
+    pub report: Option<PathBuf>,
     /// Do not show progress
     #[arg(long, short)]
     pub quiet: bool,

@@ -1,7 +1,7 @@
 //! `pathtune compare`: which configurations are compared, and how the comparison is shown.
 
 use config::RunConfig;
-use outcome::{CompareResult, CompareRow};
+use outcome::Compared;
 
 use crate::cli::CompareArgs;
 use crate::commands::train::put_plants;
@@ -9,27 +9,54 @@ use crate::runs::setup::{self, Sources};
 use crate::words::terminal::{say, tell};
 use crate::words::{Failure, comparison};
 
-/// A configuration for each tuner; they differ in nothing else.
+/// The tuner beside which all others are seen.
+const RANDOM: &str = "random";
+
+/// For each law a configuration for each tuner; those of a law differ in nothing else.
 ///
 /// # Errors
 /// On a user's mistake.
-pub fn compare_configs(args: &CompareArgs) -> Result<Vec<RunConfig>, Failure> {
-    for (place, tuner) in args.tuners.iter().enumerate() {
+pub fn compare_configs(args: &CompareArgs) -> Result<Vec<Vec<RunConfig>>, Failure> {
+    for tuner in &args.tuners {
         setup::check_preset("--tuners", "tuners", tuner, false)?;
-        if args.tuners[..place].contains(tuner) {
-            return Err(Failure::User(format!("--tuners: names {tuner} twice; name it once")));
-        }
     }
-    args.tuners.iter().enumerate().map(|(place, tuner)| config_of(args, tuner, place > 0)).collect()
+    check_once("--tuners", &args.tuners)?;
+    check_once("--laws", &args.laws)?;
+    let mut tuners: Vec<&str> = args.tuners.iter().map(String::as_str).collect();
+    if !tuners.contains(&RANDOM) {
+        tuners.push(RANDOM);
+    }
+    let mut laws: Vec<Option<&str>> = args.laws.iter().map(|law| Some(law.as_str())).collect();
+    if laws.is_empty() {
+        laws.push(args.law.as_deref());
+    }
+    let mut quiet = false;
+    let mut config =
+        |law, tuner: &&str| config_of(args, law, tuner, std::mem::replace(&mut quiet, true));
+    laws.into_iter().map(|law| tuners.iter().map(|tuner| config(law, tuner)).collect()).collect()
 }
 
-fn config_of(args: &CompareArgs, tuner: &str, quiet: bool) -> Result<RunConfig, Failure> {
+fn check_once(option: &str, names: &[String]) -> Result<(), Failure> {
+    match names.iter().enumerate().find(|(place, name)| names[..*place].contains(name)) {
+        None => Ok(()),
+        Some((_, name)) => {
+            Err(Failure::User(format!("{option}: names {name} twice; name it once")))
+        }
+    }
+}
+
+fn config_of(
+    args: &CompareArgs,
+    law: Option<&str>,
+    tuner: &str,
+    quiet: bool,
+) -> Result<RunConfig, Failure> {
     let sources = Sources {
         path: args.path.as_deref(),
         reading: &args.reading,
         tells_of_path: !quiet,
         vehicle: args.vehicle.as_deref(),
-        law: args.law.as_deref(),
+        law,
         objective: args.objective.as_deref(),
         config: args.config.as_deref(),
         laps: None,
@@ -67,29 +94,40 @@ fn config_of(args: &CompareArgs, tuner: &str, quiet: bool) -> Result<RunConfig, 
 }
 
 /// Tells that all trainings of a tuner are over.
-pub fn tell_compared(args: &CompareArgs, tuner: &str) {
-    if !args.quiet {
-        tell!("pathtune: {tuner}: {} trainings are over", args.seeds);
+pub fn tell_compared(args: &CompareArgs, law: &str, tuner: &str) {
+    if args.quiet {
+        return;
     }
+    let law = if args.laws.is_empty() { String::new() } else { format!("{law}, ") };
+    tell!("pathtune: {law}{tuner}: {} trainings are over", args.seeds);
 }
 
-/// Prints a comparison as a table, as JSON or as CSV.
+/// Prints the comparison of each law as tables, as JSON or as CSV.
 ///
 /// # Errors
 /// If it cannot be written to standard output.
-pub fn print_comparison(
-    args: &CompareArgs,
-    result: &CompareResult,
-    rows: &[CompareRow],
-) -> Result<(), Failure> {
+pub fn print_comparisons(args: &CompareArgs, laws: &[Compared]) -> Result<(), Failure> {
     if args.json {
-        let json = outcome::to_json(result);
+        let json = match &laws {
+            [one] if args.laws.is_empty() => outcome::to_json(&one.result),
+            _ => outcome::to_json(&laws.iter().map(|it| &it.result).collect::<Vec<_>>()),
+        };
         say!("{}", String::from_utf8_lossy(&json).trim_end());
         return Ok(());
     }
     if args.csv {
-        say!("{}", comparison::csv(result, rows));
+        say!("{}", comparison::csv(laws, !args.laws.is_empty()));
         return Ok(());
     }
-    comparison::print(result)
+    for (place, it) in laws.iter().enumerate() {
+        if place > 0 {
+            say!("");
+        }
+        comparison::print(&it.result)?;
+    }
+    if laws.len() > 1 {
+        say!("");
+        comparison::print_laws(laws)?;
+    }
+    Ok(())
 }

@@ -40,6 +40,9 @@ pub struct CompareResult {
     /// The set with that value.
     #[schemars(with = "ParameterTable")]
     pub best_gains: NamedParameters,
+    /// The true value of the law's textbook parameters; null where records of a study were made before it was read.
+    #[serde(default)]
+    pub textbook_value: Option<f64>,
     /// The tuners, in the order in which they were named.
     pub tuners: Vec<TunerComparison>,
 }
@@ -151,6 +154,8 @@ pub struct CompareRow {
     pub to_top_1_percent: Option<u32>,
     /// The regret of what it recommends after each of [`TunerComparison::after`].
     pub regret: Vec<f64>,
+    /// Each drive whose set was truly better than those of all drives before: its number, from 1 on, and the set's regret.
+    pub better: Vec<(u32, f64)>,
 }
 
 /// A comparison, and each of its trainings.
@@ -193,6 +198,9 @@ pub struct Course {
     pub best_value: f64,
     /// The set with that value.
     pub best_gains: NamedParameters,
+    /// As [`CompareResult::textbook_value`].
+    #[serde(default)]
+    pub textbook_value: Option<f64>,
     /// The true value of the worst set among the best 1 % of the grid.
     pub top_1_percent_value: f64,
     /// Each drive whose set was truly better than those of all drives before: its number, from 1 on, and the true value.

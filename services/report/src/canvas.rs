@@ -114,11 +114,13 @@ pub(crate) struct Stroke {
     pub(crate) marker: Option<Marker>,
     /// Only markers, without the line between them.
     pub(crate) hidden: bool,
+    /// A pale area within the line, without the line itself.
+    pub(crate) area: bool,
 }
 
 impl Stroke {
     pub(crate) fn solid(colour: RGBColor, width: f64) -> Self {
-        Self { colour, width, dash: DASHES[0], marker: None, hidden: false }
+        Self { colour, width, dash: DASHES[0], marker: None, hidden: false, area: false }
     }
 
     pub(crate) fn dashed(colour: RGBColor, width: f64, dash: &'static [f64]) -> Self {
@@ -133,6 +135,7 @@ impl Stroke {
             dash: DASHES[index % DASHES.len()],
             marker: Some(Marker::ALL[(index + index / Marker::ALL.len()) % Marker::ALL.len()]),
             hidden: false,
+            area: false,
         }
     }
 }
@@ -439,6 +442,9 @@ impl<'s, 'a> Plot<'s, 'a> {
     /// A line through points, with its markers.
     pub(crate) fn line(&self, points: &[(f64, f64)], look: &Stroke) -> Drawn {
         let pixels: Vec<_> = points.iter().map(|&point| self.pixel(point)).collect();
+        if look.area {
+            return put(self.surface, &Polygon::new(pixels, look.colour.mix(0.15).filled()));
+        }
         if !look.hidden && pixels.len() > 1 {
             trace(self.surface, &pixels, look)?;
         }

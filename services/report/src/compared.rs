@@ -1,4 +1,5 @@
-//! The tuners that a study compares: the tables of `pathtune compare`, and after how many drives each had a good set.
+//! Tuners compared, by a study or by `pathtune compare`: tables, after how many drives each had a good set, and regret over
+//! drives; and what the laws come to beside each other.
 
 use maud::{Markup, html};
 use outcome::{CompareResult, Compared, StudyComparison};
@@ -9,10 +10,38 @@ use crate::canvas::{Picture, Stroke, WIDE};
 use crate::chart::{Chart, Line};
 use crate::page::{Page, table};
 
+/// The page of a comparison with each of some laws.
+pub(crate) fn page_of(laws: &[Compared]) -> Result<(String, Vec<Picture>), ReportError> {
+    let names: Vec<&str> = laws.iter().map(|it| it.result.law.as_str()).collect();
+    let facts = html! { dl.facts { dt { "Laws" } dd { (names.join(", ")) } } };
+    let maneuver = laws.first().map_or("", |it| it.result.maneuver.as_str());
+    let mut page = Page::titled(&format!("{maneuver}: tuners compared"), facts);
+    if let [first, _, ..] = laws {
+        let tuner = first.result.tuners.first().map_or("", |it| it.tuner.as_str());
+        let words = format!(
+            "The best set driven so far by {tuner}, with each law: median over the trainings, and the middle half of them. \
+             Level lines: textbook parameters."
+        );
+        let figure = page.figure(of_laws(laws, tuner)?, &words);
+        page.section("Laws", html! { div.figures { (figure) } });
+    }
+    let all: Vec<StudyComparison> = laws
+        .iter()
+        .map(|it| StudyComparison { of: String::new(), lacking: Vec::new(), compared: it.clone() })
+        .collect();
+    sections(&mut page, &all)?;
+    Ok(page.finish_without_config())
+}
+
 /// Adds a section for each comparison.
 pub(crate) fn sections(page: &mut Page, all: &[StudyComparison]) -> Result<(), ReportError> {
     for it in all {
         let result = &it.compared.result;
+        let regret = page.figure(
+            regret_curves(&it.compared)?,
+            "Regret: by how much the best set driven so far was truly above the best. Median over the trainings, and the \
+             middle half of them. What is above 100 % is drawn there.",
+        );
         let figure = page.figure(
             curves(&it.compared)?,
             "The share of trainings that had driven a set as good as the best 1 % of the grid, by the number of drives.",
@@ -26,12 +55,13 @@ pub(crate) fn sections(page: &mut Page, all: &[StudyComparison]) -> Result<(), R
             (drives_table(result)) (regret_table(result))
             p.small {
                 "In brackets 95 % intervals. The best set has the value " (number(result.best_value, 4)) " ("
-                (result.objective) ")."
+                (result.objective) ")"
+                @if let Some(value) = result.textbook_value { ", the textbook parameters " (number(value, 4)) } "."
                 @if !it.lacking.is_empty() {
                     " Left out, because jobs have no result: " (it.lacking.join(", ")) "."
                 }
             }
-            div.figures { (figure) }
+            div.figures { (regret) (figure) }
         };
         page.section("Tuners compared", body);
     }
@@ -126,6 +156,95 @@ fn curves(compared: &Compared) -> Result<Picture, ReportError> {
     .draw()
 }
 
+/// The regret of the best set driven so far, for each tuner.
+fn regret_curves(compared: &Compared) -> Result<Picture, ReportError> {
+    let result = &compared.result;
+    let mut lines = Vec::new();
+    for (place, it) in result.tuners.iter().enumerate() {
+        let percent = |regret: f64| 100.0 * regret.min(1.0);
+        lines.extend(band(compared, &it.tuner, &it.tuner, place, percent));
+    }
+    Chart {
+        name: "regret",
+        words: "Regret of the best set driven so far, by the number of drives",
+        width: WIDE,
+        height: 270.0,
+        x: Axis::tight([0.0, f64::from(result.drives)], 6),
+        x_name: "drives",
+        y_name: "above the best [%]",
+        lines: &lines,
+        legend_rows: 1,
+        borders: &[],
+    }
+    .draw()
+}
+
+/// The objective of the best set driven so far by one tuner, for each law.
+fn of_laws(laws: &[Compared], tuner: &str) -> Result<Picture, ReportError> {
+    let drives = laws.iter().map(|it| it.result.drives).max().unwrap_or(0);
+    let objective = laws.first().map_or("", |it| it.result.objective.as_str());
+    let mut lines = Vec::new();
+    // A textbook set that does not arrive has a value far above all others, and early drives have, too.
+    let best = laws.iter().map(|it| it.result.best_value).fold(0.0, f64::max);
+    let most = 3.0 * best;
+    for (place, it) in laws.iter().enumerate() {
+        let result = &it.result;
+        let value = |regret: f64| (result.best_value * (1.0 + regret)).min(most);
+        lines.extend(band(it, tuner, &result.law, place, value));
+        if let Some(textbook) = result.textbook_value.filter(|it| *it <= most) {
+            let look = Stroke { width: 0.9, marker: None, ..Stroke::of_many(place) };
+            let level = [(0.0, textbook), (f64::from(drives), textbook)];
+            lines.push(Line::new("", level, look));
+        }
+    }
+    Chart {
+        name: "laws",
+        words: "The objective of the best set driven so far with each law, by the number of drives",
+        width: WIDE,
+        height: 270.0,
+        x: Axis::tight([0.0, f64::from(drives)], 6),
+        x_name: "drives",
+        y_name: objective,
+        lines: &lines,
+        legend_rows: 1,
+        borders: &[],
+    }
+    .draw()
+}
+
+/// The median over a tuner's trainings of the best set driven so far, and the band of the middle half of them behind it.
+fn band(
+    compared: &Compared,
+    tuner: &str,
+    label: &str,
+    place: usize,
+    shown: impl Fn(f64) -> f64,
+) -> [Line; 2] {
+    let rows: Vec<_> = compared.rows.iter().filter(|row| row.tuner == tuner).collect();
+    let quartiles = |drives: u32| -> [f64; 3] {
+        let so_far = |better: &[(u32, f64)]| {
+            let count = better.partition_point(|(drive, _)| *drive <= drives);
+            better[..count].last().map_or(f64::INFINITY, |(_, regret)| *regret)
+        };
+        let mut all: Vec<f64> = rows.iter().map(|row| so_far(&row.better)).collect();
+        all.sort_unstable_by(f64::total_cmp);
+        // By nearest rank.
+        [0.25, 0.5, 0.75].map(|share: f64| {
+            let rank = ((share * all.len() as f64).ceil() as usize).max(1);
+            shown(all.get(rank - 1).copied().unwrap_or(f64::INFINITY))
+        })
+    };
+    let each: Vec<(f64, [f64; 3])> =
+        (1..=compared.result.drives).map(|it| (f64::from(it), quartiles(it))).collect();
+    let look = Stroke { marker: None, ..Stroke::of_many(place) };
+    let median = Line::new(label, each.iter().map(|(x, it)| (*x, it[1])), look);
+    let around = each.iter().map(|(x, it)| (*x, it[2]));
+    let around = around.chain(each.iter().rev().map(|(x, it)| (*x, it[0]))).collect();
+    // As it is: what thins a line out takes points along it for granted.
+    let band = Line { label: String::new(), points: around, look: Stroke { area: true, ..look } };
+    [median, band]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -158,6 +277,7 @@ mod tests {
             to_within_2_percent: None,
             to_top_1_percent,
             regret: vec![0.1],
+            better: vec![(1, 0.5), (4, 0.1)],
         };
         let result = CompareResult {
             schema: outcome::SCHEMA,
@@ -174,6 +294,7 @@ mod tests {
             grid_size: 750,
             best_value: 0.5,
             best_gains: config::NamedParameters::default(),
+            textbook_value: Some(0.75),
             tuners: vec![tuner("gp"), tuner("<q>")],
         };
         let rows = vec![
@@ -188,7 +309,7 @@ mod tests {
         let lacking = vec!["cem (1 of 2 jobs)".to_owned()];
         sections(&mut page, &[StudyComparison { of, lacking, compared }]).unwrap();
         let (html, pictures) = page.finish_without_config();
-        assert_eq!(pictures.len(), 1);
+        assert_eq!(pictures.len(), 2);
         for part in [
             "3 [1, &gt; 12]",
             "&gt; 12",
@@ -196,6 +317,7 @@ mod tests {
             "&lt;q&gt;",
             "set.x = 1",
             "cem (1 of 2 jobs)",
+            "textbook parameters 0.7500",
         ] {
             assert!(html.contains(part), "{part}: {html}");
         }

@@ -36,7 +36,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use config::RunConfig;
-use outcome::{Outcome, RunResult, StudyComparison};
+use outcome::{Compared, Outcome, RunResult, StudyComparison};
 
 use canvas::Picture;
 pub use error::ReportError;
@@ -97,6 +97,16 @@ fn write_pages(folder: &Path, html: &str, pictures: &[Picture]) -> Result<PathBu
     let index = folder.join("index.html");
     replace(&index, html)?;
     Ok(index)
+}
+
+/// Writes the page of a comparison of tuners, with each of some laws, and its pictures into this folder, and returns the
+/// path of the page.
+///
+/// # Errors
+/// If they cannot be written.
+pub fn write_compared(folder: &Path, laws: &[Compared]) -> Result<PathBuf, ReportError> {
+    let (html, pictures) = compared::page_of(laws)?;
+    write_pages(folder, &html, &pictures)
 }
 
 /// Writes the page of a study beside its table, which `pathtune sweep collect` has written, with the comparisons of its

@@ -122,6 +122,11 @@ pub fn joined(subject: CompareSubject, tuners: &[TunerCourses]) -> Compared {
             to_within_2_percent: course.drives_to(near),
             to_top_1_percent: course.drives_to(course.top_1_percent_value),
             regret: course.recommended.iter().map(|it| Course::regret(*it, best_value)).collect(),
+            better: course
+                .better
+                .iter()
+                .map(|(drive, value)| (*drive, Course::regret(*value, best_value)))
+                .collect(),
         };
         let of_tuner: Vec<CompareRow> = courses.iter().map(row).collect();
         told.push(summary(tuner, &of_tuner, &first.marks));
@@ -142,6 +147,7 @@ pub fn joined(subject: CompareSubject, tuners: &[TunerCourses]) -> Compared {
         grid_size: first.grid_size,
         best_value,
         best_gains,
+        textbook_value: first.textbook_value,
         tuners: told,
     };
     Compared { result, rows }
@@ -210,6 +216,8 @@ struct Yardstick {
     /// Those of sets between those of the grid, as far as they were needed.
     others: HashMap<[u64; MAX_PARAMETERS], f64>,
     best: (f64, Parameters),
+    /// That of the law's textbook parameters.
+    textbook: f64,
 }
 
 impl Yardstick {
@@ -222,7 +230,9 @@ impl Yardstick {
             of_grid: Vec::new(),
             others: HashMap::new(),
             best: (f64::INFINITY, Parameters::default()),
+            textbook: f64::INFINITY,
         };
+        it.textbook = it.measure(&config.law.defaults());
         let grid = config.grid();
         for position in grid.positions() {
             let value = it.measure(&grid.set(position));
@@ -385,6 +395,7 @@ impl Yardstick {
             grid_size: self.of_grid.len(),
             best_value,
             best_gains: config.law.named(&best),
+            textbook_value: Some(self.textbook),
             top_1_percent_value: self.top_percent(),
             better,
             marks,
