@@ -10,6 +10,7 @@ use orchestrator::words::Failure;
 use orchestrator::{Service, Services, bench};
 use runtime::clock::now_ns;
 use runtime::ring::Hop;
+use trainer::journal::JournalError;
 
 /// The first service in the table that can fill a role is the usual one for it.
 pub(crate) const SERVICES: Services = Services(&[
@@ -30,7 +31,7 @@ pub(crate) const SERVICES: Services = Services(&[
     },
     Service::new("supervisor", Some(Role::Supervisor), |_| Ok(supervisor::service::run()?)),
     Service::new("controller", Some(Role::Controller), |_| Ok(controller::service::run()?)),
-    Service::new("trainer", Some(Role::Trainer), |_| Ok(trainer::service::run()?)),
+    Service::new("trainer", Some(Role::Trainer), |_| train()),
     Service::new("schedule", Some(Role::Trainer), |_| Ok(trainer::schedule::run()?)),
     Service::new("reviewer", Some(Role::Trainer), |_| Ok(replayer::reviewer::run()?)),
     Service::new("recorder", Some(Role::Recorder), |_| Ok(recorder::service::run()?)),
@@ -47,6 +48,14 @@ pub(crate) const SERVICES: Services = Services(&[
     Service::new("stream-ring", None, |words| Ok(runtime::ring::run_over_streams(hop(words)?)?)),
     Service::new("calls", None, |words| Ok(time_calls(words)?)),
 ]);
+
+/// A journal that cannot be gone on with is not mended by another start of the trainer.
+fn train() -> Result<(), Failure> {
+    trainer::service::run().map_err(|error| match error.downcast_ref::<JournalError>() {
+        Some(journal) if journal.is_final() => Failure::User(journal.to_string()),
+        _ => Failure::Other(error),
+    })
+}
 
 fn drive_ros2() -> Result<(), Failure> {
     ros2_vehicle::run().map_err(|error| match error.downcast::<ros2_vehicle::Refused>() {

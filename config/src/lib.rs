@@ -43,7 +43,7 @@ mod vehicles;
 
 pub use envelope::{ChannelScale, ENVELOPE_CHANNELS, Envelope, MadeFor, Promise};
 pub use error::ConfigError;
-pub use files::{open_regular, read_small};
+pub use files::{BoundedLines, open_regular, read_small};
 pub use grid::{Axes, Axis, Grid, GridAxis, GridPosition};
 pub use law::{
     LawConfig, MAX_PARAMETERS, NamedParameters, ParameterConfig, Parameters, Scale, Settings,

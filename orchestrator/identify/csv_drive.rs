@@ -21,8 +21,7 @@ const COLUMNS: [(&[&str], bool); 8] = [
 
 /// Reads a file. A row holds odometry, a command, or both; empty fields tell nothing.
 pub(crate) fn read(file: &Path) -> Result<Read> {
-    let text = std::io::BufReader::new(config::open_regular(file)?);
-    parse(text)
+    parse(config::BoundedLines::new(config::open_regular(file)?))
 }
 
 fn parse(text: impl std::io::Read) -> Result<Read> {
@@ -36,7 +35,7 @@ fn parse(text: impl std::io::Read) -> Result<Read> {
             place.is_some() || !is_needed,
             "has no column {}; its first line must name the columns, and names {}",
             names[0],
-            header.iter().collect::<Vec<_>>().join(",")
+            beginning(&header.iter().collect::<Vec<_>>().join(","))
         );
     }
     let mut drive = Drive::default();
@@ -51,7 +50,9 @@ fn parse(text: impl std::io::Read) -> Result<Read> {
             let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
             let name = COLUMNS[index].0[0];
             number
-                .with_context(|| format!("line {line}: {name} is {text:?}, which is no number"))
+                .with_context(|| {
+                    format!("line {line}: {name} is {:?}, which is no number", beginning(text))
+                })
                 .map(Some)
         };
         let time_s = field(0)?.with_context(|| format!("line {line}: t_s is empty"))?;
@@ -97,6 +98,14 @@ fn parse(text: impl std::io::Read) -> Result<Read> {
     // A gap in a yaw rate that is measured otherwise: without it, the heading's would be taken for all of the drive.
     fill_gaps(&mut drive.odometry);
     Ok(Read { drives: vec![drive], point: Point::Tracked, ..Read::default() })
+}
+
+/// What a message shows of a text of any length.
+fn beginning(text: &str) -> String {
+    match text.char_indices().nth(200) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
 }
 
 /// Puts the last yaw rate where one is missing, unless there is none at all.

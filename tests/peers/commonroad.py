@@ -20,6 +20,8 @@ class Car:
     SPEED_PER_S = 2.0
     ACCELERATION_MPS2 = 3.0
     BRAKE_MPS2 = 6.0
+    # Friction of tyres that slide sideways.
+    SLIDES_MPS2 = 7.0
 
     def __init__(self, start_x, start_y, start_yaw, parameters=2):
         """Stands with its rear axle at the start. `parameters`: 1 for the Ford, 2 for the BMW, 3 for the VW."""
@@ -31,11 +33,15 @@ class Car:
         self._stand(x, y, 0.0, start_yaw)
 
     def _stand(self, x, y, steering_rad, yaw):
+        self.slides = None
         # x, y, steering angle, speed, yaw, yaw rate, slip angle; of the centre of gravity.
         self.state = init_mb([x, y, steering_rad, 0.0, yaw, 0.0, 0.0], self.p)
 
     def step(self, dt, speed_mps, steering_rad):
         """Drives on for so long, towards a speed and an angle of the road wheels."""
+        if self.slides:
+            self._slide(dt)
+            return
         steps = max(1, round(dt / self.STEP_S))
         h = dt / steps
         for _ in range(steps):
@@ -43,10 +49,31 @@ class Car:
             acceleration = min(max(acceleration, -self.BRAKE_MPS2), self.ACCELERATION_MPS2)
             limit = self.p.steering.v_max
             rate = min(max((steering_rad - self.state[2]) / h, -limit), limit)
-            self._heun(h, [rate, acceleration])
+            try:
+                self._heun(h, [rate, acceleration])
+            except ZeroDivisionError:
+                # It spins: a wheel moves sideways alone, and the model divides by its forward speed.
+                yaw, forward, left = self.state[4], self.state[3], self.state[10]
+                way = yaw + math.atan2(left, forward)
+                self.slides = way, math.hypot(forward, left)
+                return
         if speed_mps == 0.0 and abs(self.state[3]) < 0.05:
             # The model's wheels and suspension do not survive a stop, after which it would hardly move.
             self._stand(self.state[0], self.state[1], self.state[2], self.state[4])
+
+    def _slide(self, dt):
+        """Goes on straight, as it stands across its way, until it stands."""
+        way, speed = self.slides
+        slower = max(speed - self.SLIDES_MPS2 * dt, 0.0)
+        ahead_m = 0.5 * (speed + slower) * dt
+        x, y = self.state[0] + ahead_m * math.cos(way), self.state[1] + ahead_m * math.sin(way)
+        if slower == 0.0:
+            self._stand(x, y, self.state[2], self.state[4])
+            return
+        self.slides, self.state[0], self.state[1] = (way, slower), x, y
+        self.state[3] = slower * math.cos(way - self.state[4])
+        self.state[10] = slower * math.sin(way - self.state[4])
+        self.state[5] = 0.0
 
     def _heun(self, h, inputs):
         first = vehicle_dynamics_mb(self.state, inputs, self.p)

@@ -70,6 +70,10 @@ fn of_run(args: &CertifyArgs, run: &Path) -> Result<RunConfig, Failure> {
 /// The configuration of a manoeuvre, or of a path of the user's own.
 fn of_manoeuvre(args: &CertifyArgs, name: Option<&str>) -> Result<RunConfig, Failure> {
     let mut layers = match (name, &args.path) {
+        (Some(name), _) if Path::new(name).is_dir() => {
+            let why = "holds no config.toml of a run; name a manoeuvre, or the folder of a finished training";
+            return Err(Failure::User(format!("{name}: {why}")));
+        }
         (Some(name), _) => Layers::maneuver(name)?,
         (None, Some(_)) => Layers::own_path(),
         (None, None) => {

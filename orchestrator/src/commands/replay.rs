@@ -15,7 +15,7 @@ use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
 use crate::pipeline::services::Services;
 use crate::pipeline::strays::sweep_dead_runs;
-use crate::runs::folder::refuse_earlier;
+use crate::runs::folder::{refuse_earlier, resolved_config};
 use crate::runs::preflight;
 use crate::runs::running::run;
 use crate::runs::setup::read;
@@ -65,7 +65,11 @@ pub fn replay_config(args: &ReplayArgs, recorded: &str) -> Result<RunConfig, Fai
         };
     }
     let text = toml::to_string(&config).context("the configuration")?;
-    Ok(RunConfig::from_resolved(&text)?)
+    let origin = match &args.config {
+        Some(file) => format!("--config {}, laid over what was recorded", file.display()),
+        None => "the recorded configuration".to_owned(),
+    };
+    resolved_config(&origin, &text)
 }
 
 /// Overrides the keys of one document by those of another.

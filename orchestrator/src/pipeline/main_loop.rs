@@ -342,7 +342,7 @@ impl<'a> Pipeline<'a> {
                 self.driving_ticks +=
                     outcomes.iter().map(|outcome| outcome.report.ticks).max().unwrap_or_default();
                 for member in &mut self.members {
-                    member.policy.works();
+                    member.policy.gets_on();
                 }
                 self.tell_trainer(&outcomes)?;
             }

@@ -1,8 +1,8 @@
 //! Whether and when a dead process is started again.
 //!
 //! Pure: time is an argument. After a first death the process is restarted at once; after further ones it waits longer
-//! each time, until a finished batch shows that all is well again. Too many deaths in a short time end the run: a
-//! process that dies at every start will not get better by waiting.
+//! each time, until it works again. Too many deaths in a short time end the run: a process that dies at every start will
+//! not get better by waiting. Deaths before the run has got on are no reason to give up: it will get on again.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -68,9 +68,15 @@ impl RestartPolicy {
         Decision::Restart(wait.min(LONGEST_WAIT).mul_f64(1.0 + 0.5 * jitter))
     }
 
-    /// Notes that a batch has finished: the process works.
+    /// Notes that the process works.
     pub fn works(&mut self) {
         self.in_a_row = 0;
+    }
+
+    /// Notes that a batch has finished: the run gets on, however often the process dies.
+    pub fn gets_on(&mut self) {
+        self.works();
+        self.deaths_ns.clear();
     }
 }
 
@@ -107,6 +113,21 @@ mod tests {
             slow.works();
             assert_ne!(slow.died(death * SECOND * 5 / 2, 0.5), Decision::GiveUp);
         }
+    }
+
+    #[test]
+    fn a_run_that_gets_on_is_not_given_up() {
+        let mut policy = RestartPolicy::new(Budget::default());
+        for death in 0..100 {
+            assert_ne!(policy.died(death, 0.5), Decision::GiveUp);
+            if death % 4 == 3 {
+                policy.gets_on();
+            }
+        }
+        for death in 100..105 {
+            assert_ne!(policy.died(death, 0.5), Decision::GiveUp);
+        }
+        assert_eq!(policy.died(105, 0.5), Decision::GiveUp);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 use std::path::Path;
 
-use config::{open_regular, read_small};
+use config::{BoundedLines, open_regular, read_small};
 use outcome::{OutcomeError, RESULT_FILE, RunResult};
 use serde::de::DeserializeOwned;
 
@@ -59,7 +59,8 @@ pub(crate) fn read_table<T: DeserializeOwned>(
         let problem = format!("it holds more than {} MiB", MOST_BYTES >> 20);
         return Err(ReportError::malformed(path, None, problem));
     }
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(file);
+    let mut reader =
+        csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(BoundedLines::new(file));
     let headers = reader.headers().map_err(|error| at(path, &error))?.clone();
     let mut record = csv::StringRecord::new();
     while reader.read_record(&mut record).map_err(|error| at(path, &error))? {

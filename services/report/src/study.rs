@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use config::open_regular;
+use config::{BoundedLines, open_regular};
 use maud::{Markup, html};
 use outcome::StudyComparison;
 
@@ -196,7 +196,7 @@ fn read(path: &Path) -> Result<Study, ReportError> {
     let wrong = |line: Option<u64>, problem: String| ReportError::malformed(path, line, problem);
     let file = open_regular(path)
         .map_err(|problem| ReportError::Read { path: path.to_owned(), problem })?;
-    let mut reader = csv::Reader::from_reader(file);
+    let mut reader = csv::Reader::from_reader(BoundedLines::new(file));
     let header = reader.headers().map_err(|error| wrong(Some(1), error.to_string()))?.clone();
     let place = |name: &str| {
         let place = header.iter().position(|column| column == name);

@@ -100,6 +100,64 @@ fn gate_and_watch(bencher: Bencher, vehicle: &str) {
     });
 }
 
+/// What the watch costs in a whole drive, tick by tick as the gate saw it: with and without distance, heading and answers
+/// watched. The difference may be 40 ns.
+#[divan::bench(args = [false, true], sample_size = 1)]
+fn watch_in_a_drive(bencher: Bencher, is_on: bool) {
+    let mut layers = Layers::maneuver("roundabout").expect("a preset");
+    layers.set_vehicle("bench", "tesla_model_3_guarded").expect("a preset");
+    if !is_on {
+        for set in [
+            "vehicle.safety.path_distance_limit_m=inf",
+            "vehicle.safety.path_heading_limit_rad=inf",
+            "vehicle.safety.watch_response=\"off\"",
+        ] {
+            layers.set(set).expect("a key");
+        }
+    }
+    let config = layers.resolve().expect("the presets are sound");
+    let (mut car, mut drive) = (SimulatedVehicle::new(&config), DriveController::new(&config));
+    car.reset(config.path.start.into(), None);
+    drive.reset(parameters(), config.ticks());
+    let mut gate = Watch::new(&config);
+    let mut ticks = Vec::new();
+    for tick in 0..config.ticks() {
+        let it = car.observe();
+        let movement = Movement {
+            pose: it.measured,
+            speed_mps: it.speed_mps,
+            yaw_rate_radps: it.yaw_rate_radps,
+        };
+        let seen = Seen {
+            measured: it.measured,
+            speed_mps: it.speed_mps,
+            yaw_rate_radps: it.yaw_rate_radps,
+            truth: Some(it.truth),
+            collision: false,
+        };
+        let decision = drive.tick(Phase::from(tick), seen);
+        let wanted = RawCommand {
+            speed_mps: decision.command.speed_mps,
+            yaw_rate_radps: decision.command.yaw_rate_radps,
+            steering_rad: decision.command.steering_rad,
+        };
+        ticks.push((movement, decision.reference_along_m, wanted));
+        gate.see(tick, movement, true);
+        gate.follow(decision.reference_along_m);
+        let passed = gate.command(0.01, 0, Some(wanted));
+        car.step(passed.speed_mps, passed.steering_rad);
+    }
+    let new = Watch::new(&config);
+    bencher.counter(ItemsCount::new(ticks.len())).bench_local(move || {
+        let mut watch = new.clone();
+        for (tick, (movement, along_m, wanted)) in ticks.iter().enumerate() {
+            watch.see(tick as u64, black_box(*movement), true);
+            watch.follow(*along_m);
+            black_box(watch.command(0.01, 0, Some(*wanted)));
+        }
+    });
+}
+
 /// An envelope that no drive leaves.
 fn wide() -> Envelope {
     let of = |(index, (kind, over_s)): (usize, (&str, f64))| {

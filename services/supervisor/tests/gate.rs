@@ -329,6 +329,23 @@ impl Stream {
     }
 }
 
+#[test]
+fn left_and_right_are_the_same_to_the_last_bit() {
+    for seed in 0..200 {
+        let (_, mut left) = draw(&mut Stream(seed));
+        let mut right = left;
+        let mut stream = Stream(seed.wrapping_mul(77));
+        for _ in 0..200 {
+            let dt_s = stream.within(0.001, 0.02);
+            let (wanted_mps, wanted_rad) = (stream.within(-10.0, 40.0), stream.within(-1.5, 1.5));
+            let mut other = right.pass(dt_s, 40.0, raw(wanted_mps, -wanted_rad));
+            other.steering_rad = -other.steering_rad;
+            other.yaw_rate_radps = -other.yaw_rate_radps;
+            assert_eq!(left.pass(dt_s, 40.0, raw(wanted_mps, wanted_rad)), other, "{seed}");
+        }
+    }
+}
+
 /// Limits as they were drawn; the gate is made of the same numbers.
 struct Drawn {
     speed: f64,

@@ -25,6 +25,8 @@ use crate::training::{SavedTraining, Training};
 /// The newest checkpoint, the one before it, and one that is being written.
 const FILES: [&str; 2] = ["checkpoint", "checkpoint.previous"];
 const PART: &str = "checkpoint.part";
+/// The largest file that is taken for a checkpoint.
+const MOST_BYTES: u64 = 128 << 20;
 /// Raised whenever a tuner saves something else than before.
 const VERSION: u32 = 1;
 /// Time between two checkpoints, and so between two syncs of the journal: what a power cut may cost.
@@ -76,8 +78,9 @@ fn read(path: &Path, configuration: &str) -> Option<Checkpoint> {
         return None;
     }
     let mut bytes = Vec::new();
-    own_file::open(path).and_then(|mut file| file.read_to_end(&mut bytes)).ok()?;
-    let checkpoint: Option<Checkpoint> = unpack(&bytes);
+    own_file::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes)).ok()?;
+    let checkpoint: Option<Checkpoint> =
+        if bytes.len() as u64 > MOST_BYTES { None } else { unpack(&bytes) };
     let usable = checkpoint.filter(|it| {
         it.version == VERSION
             && it.release == env!("CARGO_PKG_VERSION")

@@ -12,6 +12,7 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 use tracking::DriveRecord;
 
@@ -39,6 +40,23 @@ pub enum JournalError {
     Earlier { path: PathBuf },
     #[error("the journal {path} is in use by another training")]
     InUse { path: PathBuf },
+}
+
+impl JournalError {
+    /// Whether it is the same however often one tries.
+    pub fn is_final(&self) -> bool {
+        match self {
+            Self::Damaged { .. } | Self::Foreign { .. } | Self::Earlier { .. } => true,
+            // Another kind of file, or a link; not a disk that is full or fails.
+            Self::Io { source, .. } => {
+                source.kind() == io::ErrorKind::InvalidInput
+                    || [Errno::LOOP, Errno::ISDIR, Errno::NXIO]
+                        .iter()
+                        .any(|kind| source.raw_os_error() == Some(kind.raw_os_error()))
+            }
+            Self::InUse { .. } => false,
+        }
+    }
 }
 
 const VERSION: u32 = 3;
@@ -94,6 +112,8 @@ pub struct Journal {
     /// Where the records end that were replayed or written.
     position: u64,
     unwritten: Vec<u8>,
+    /// The first record of a journal that this training begins.
+    opening: Vec<u8>,
 }
 
 impl Journal {
@@ -114,18 +134,22 @@ impl Journal {
             std::thread::sleep(Duration::from_millis(2));
         }
         let unread = Some(BufReader::new(file.try_clone().map_err(io)?));
-        let mut journal =
-            Self { path: path.to_owned(), file, unread, position: 0, unwritten: Vec::new() };
-        let mut line = journal.next_line()?;
         let opening = Record::Opening {
             version: VERSION,
             layout: layout(),
             configuration: configuration.to_owned(),
         };
+        let (path, none) = (path.to_owned(), Vec::new());
+        let mut journal =
+            Self { path, file, unread, position: 0, unwritten: none.clone(), opening: none };
+        journal.add(&opening);
+        journal.opening = std::mem::take(&mut journal.unwritten);
+        let mut line = journal.next_line()?;
         if line.is_empty() {
-            journal.add(&opening);
+            journal.unwritten = std::mem::take(&mut journal.opening);
             return Ok(journal);
         }
+        let path = &journal.path;
         if line.get(8..).is_some_and(|rest| rest.starts_with(b" {\"journal\":")) {
             return Err(JournalError::Earlier { path: path.to_owned() });
         }
@@ -181,6 +205,9 @@ impl Journal {
         }
         if line.len() as u64 == LONGEST_RECORD {
             return Err(self.damaged(self.position, "a record without an end"));
+        }
+        if self.position == 0 && !self.opening.starts_with(&line) {
+            return Err(self.damaged(0, "it does not begin like a journal"));
         }
         // Records are written whole, so only the last one can be torn: it lacks its end.
         if !line.is_empty() {
