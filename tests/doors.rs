@@ -138,7 +138,7 @@ fn whatever_comes_through_a_door_is_told_in_a_line() {
             (&doors[index / KINDS.len()], KINDS[index % KINDS.len()]);
         let folder = sandbox.path(&format!("f{index}"));
         fs::create_dir(&folder).unwrap();
-        write(&folder.join("car.toml"), "name = \"mine\"\n");
+        write(&folder.join("car.toml"), "base = \"f1tenth\"\n");
         let (drive, trained) = (sandbox.path("drive"), sandbox.path("trained"));
         let file = match of_run {
             Some(name) => {
