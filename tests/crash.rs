@@ -75,7 +75,7 @@ fn kills_at_random_moments_change_no_byte() {
     assert!(done >= kills / 2, "the training ended after {done} kills");
     assert_eq!(result["digest"], calm["digest"], "after {done} kills");
     assert_eq!(result["learners"], calm["learners"]);
-    sandbox.run(&["clean"]);
+    sandbox.clean();
     sandbox.assert_clean();
 }
 

@@ -75,7 +75,7 @@ fn a_long_training_goes_on_from_where_it_was_killed() {
         assert!(of("killed") == of("calm"), "{name} differs after {done} kills");
     }
     assert!(!part.exists());
-    sandbox.run(&["clean"]);
+    sandbox.clean();
     sandbox.assert_clean();
 }
 

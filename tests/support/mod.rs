@@ -168,6 +168,16 @@ impl Sandbox {
             .find(|pid| file_holds(format!("/proc/{pid}/cmdline"), &format!("service\0{name}\0")))
     }
 
+    /// Removes what killed runs left. The folder of a run that was killed before it was locked stays for ten seconds: it
+    /// might be just starting.
+    pub fn clean(&self) {
+        let since = Instant::now();
+        while self.path("r/pathtune").exists() && since.elapsed() < Duration::from_secs(20) {
+            assert!(self.run(&["clean"]).status.success());
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+
     /// Asserts that no process, segment or file of any run of this sandbox is left.
     pub fn assert_clean(&self) {
         assert_eq!(self.processes(), Vec::<i32>::new(), "processes are left");
