@@ -281,7 +281,7 @@ impl Layers {
                 }
             }
         };
-        scale_to_the_car(&mut values, &origins);
+        crate::car_size::scale_to_the_car(&mut values, &origins);
         let mut config: RunConfig = serde_path_to_error::deserialize(Value::Table(values))
             .map_err(|error| {
                 let key = error.path().to_string();
@@ -517,28 +517,6 @@ impl Layers {
     }
 }
 
-/// Fits what is made for the errors of a full-size car to a car of another size, on a path of the user's own and where
-/// nobody has set it: the range of the learners' states, which is a length, and the weight of a squared angle beside
-/// squared lengths.
-fn scale_to_the_car(values: &mut Table, origins: &BTreeMap<String, String>) {
-    let is_own_path =
-        find(values, "maneuver").and_then(Value::as_str) == Some(crate::presets::OWN_PATH);
-    let Some(wheelbase_m) = find(values, "vehicle.wheelbase_m").and_then(number) else { return };
-    let ratio = wheelbase_m / FULL_SIZE_WHEELBASE_M;
-    if !is_own_path || ratio == 1.0 || !(ratio > 0.0 && ratio.is_finite()) {
-        return;
-    }
-    for (key, factor) in
-        [("learning.error_high_cross_m", ratio), ("learning.heading_weight", ratio * ratio)]
-    {
-        if let Some(place) = find_mut(values, key).filter(|_| !origins.contains_key(key))
-            && let Some(full_size) = number(place)
-        {
-            *place = Value::Float(full_size * factor);
-        }
-    }
-}
-
 /// The limits of what commands a vehicle: none is above the vehicle's own. A value that is out of its range stays, so that
 /// it is refused.
 fn take_limits_of_vehicle(values: &mut Table) {
@@ -557,7 +535,7 @@ fn take_limits_of_vehicle(values: &mut Table) {
 }
 
 /// A number, whether it is written with a decimal point or not.
-fn number(value: &Value) -> Option<f64> {
+pub(crate) fn number(value: &Value) -> Option<f64> {
     value.as_float().or(value.as_integer().map(|whole| whole as f64))
 }
 
@@ -659,7 +637,7 @@ pub(crate) fn find<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     }
 }
 
-fn find_mut<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {
+pub(crate) fn find_mut<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {
     match key.split_once('.') {
         None => table.get_mut(key),
         Some((head, rest)) => find_mut(table.get_mut(head)?.as_table_mut()?, rest),

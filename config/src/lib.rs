@@ -8,6 +8,7 @@
 //!
 //! SI units and radians throughout; the suffix of a key is its unit.
 
+mod car_size;
 mod envelope;
 mod error;
 mod files;

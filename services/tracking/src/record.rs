@@ -79,6 +79,10 @@ pub struct DriveRecord {
     /// What it slowed the vehicle down for, or only told, as bits of its reasons.
     #[serde(default)]
     pub slowed_for: u32,
+    /// In the record of several drives: how much those that did not arrive missed, 0 to 1; see
+    /// [`Objective::mean_of`](crate::Objective::mean_of). 0 in that of one drive, whose own measures tell it.
+    #[serde(default)]
+    pub missed: f64,
 }
 
 impl DriveRecord {
@@ -140,6 +144,7 @@ impl DriveRecord {
             lateral_jerk_max_mps3: most(|it| it.lateral_jerk_max_mps3),
             stopped_for: drives.iter().fold(0, |bits, it| bits | it.stopped_for),
             slowed_for: drives.iter().fold(0, |bits, it| bits | it.slowed_for),
+            missed: 0.0,
         }
     }
 
@@ -164,7 +169,9 @@ impl DriveRecord {
         ]
         .into_iter()
         .all(|number| number.is_finite() && number >= 0.0)
-            && [self.progress, self.progress_in_time].iter().all(|it| (0.0..=1.0).contains(it))
+            && [self.progress, self.progress_in_time, self.missed]
+                .iter()
+                .all(|it| (0.0..=1.0).contains(it))
     }
 }
 
@@ -334,6 +341,7 @@ impl DriveRecorder {
             lateral_jerk_max_mps3: self.jerk.max_mps2 / jerk_s,
             stopped_for: 0,
             slowed_for: 0,
+            missed: 0.0,
         }
     }
 

@@ -113,7 +113,7 @@ impl Judge {
     pub(crate) fn together(&self, drives: &[DriveRecord]) -> DriveRecord {
         let share = match self.by {
             OverBy::Nominal => return drives[0],
-            OverBy::Mean => return DriveRecord::mean_of(drives),
+            OverBy::Mean => return self.objective.mean_of(drives),
             OverBy::P90 => 0.9,
             OverBy::Worst => 1.0,
         };

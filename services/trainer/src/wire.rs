@@ -50,5 +50,6 @@ pub(crate) fn record_of(report: &DriveReport) -> DriveRecord {
         lateral_acceleration_max_mps2: report.lateral_acceleration_max_mps2,
         stopped_for: report.stopped_for,
         slowed_for: report.slowed_for,
+        missed: 0.0,
     }
 }

@@ -6,6 +6,9 @@ use config::ObjectiveLimits;
 
 use crate::DriveRecord;
 
+/// The price doubles the objective where the travel is above its threshold by one part of this many.
+const STEEPNESS: f64 = 5.0;
+
 /// The limits of a configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Limits(pub(super) ObjectiveLimits);
@@ -20,14 +23,15 @@ impl Limits {
         self.0 != with_price_alone
     }
 
-    /// What the objective is multiplied by: 1 + e², with the excess e = travel / threshold − 1, or 1 below the
-    /// threshold. Value and slope are continuous there.
+    /// What the objective is multiplied by: 1 + (5·e)², with the excess e = travel / threshold − 1, or 1 below the
+    /// threshold. Value and slope are continuous there. So steep because a car that is shaken a little more may well be
+    /// nearer to the path by half: with 1 + e² sets were chosen that turn the wheels half as much again.
     pub(super) fn price(&self, drive: &DriveRecord) -> f64 {
         let from = self.0.steering_travel_price_radps;
         if from <= 0.0 || drive.steering_travel_radps <= from {
             return 1.0;
         }
-        let excess = drive.steering_travel_radps / from - 1.0;
+        let excess = STEEPNESS * (drive.steering_travel_radps / from - 1.0);
         1.0 + excess * excess
     }
 

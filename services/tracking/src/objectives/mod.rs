@@ -3,6 +3,7 @@
 //! An objective is a file of this folder with its row in the table below, and a file of `config/objectives` with its
 //! settings. Learners, ranking, grid and report all use the same one.
 
+mod arrival;
 mod distance;
 mod limits;
 mod mse;
@@ -13,7 +14,7 @@ mod weighted;
 use config::RunConfig;
 
 use self::limits::Limits;
-use crate::{DriveRecord, EndReason};
+use crate::DriveRecord;
 
 /// How one objective measures a drive.
 trait Measure: Sized {
@@ -113,22 +114,35 @@ impl Objective {
     ///
     /// If drives are meant to arrive, or have limits, the value of one that does and keeps them is bounded. The value of
     /// any other is the bound times (1 + how much it misses), so that it ranks behind all that arrive within the limits.
-    /// What one misses that does not arrive is the share of the path that it did not drive, and as much as one can miss
-    /// that breaks all limits: it ranks behind all that arrive.
+    /// What one misses that does not arrive is as much as one can miss that breaks all limits, so that it ranks behind all
+    /// that arrive, and the more the less far it came and the farther from the path it was: [`arrival::missed`].
     pub fn of(&self, drive: &DriveRecord) -> f64 {
         if self.cap_m.is_none() && !self.limits.are_hard() {
             return self.kind.of(drive) * self.limits.price(drive);
         }
         let bound = self.kind.of_bound(self.bound_m);
-        let mut missed = self.limits.missed(drive);
-        if self.cap_m.is_some() && drive.reason != EndReason::Goal {
-            // Never quite the bound itself, even at the very end of the path.
-            missed += (1.0 - drive.progress).max(1e-6) + self.limits.most_missed();
-        }
+        let missed = match self.cap_m {
+            // Those of several drives together have been counted.
+            Some(_) if drive.missed > 0.0 => self.limits.most_missed() + drive.missed,
+            Some(cap_m) if !drive.arrived() => {
+                self.limits.most_missed() + arrival::missed(drive, cap_m)
+            }
+            _ => self.limits.missed(drive),
+        };
         match missed > 0.0 {
             true => bound * (1.0 + missed),
             false => (self.kind.of(drive) * self.limits.price(drive)).min(bound),
         }
+    }
+
+    /// One record of several drives with the same parameters: their means, and where drives are meant to arrive what they
+    /// missed together, so that the number that arrive counts first: [`arrival::missed_together`].
+    ///
+    /// # Panics
+    /// If there is no drive.
+    pub fn mean_of(&self, drives: &[DriveRecord]) -> DriveRecord {
+        let missed = self.cap_m.map_or(0.0, |cap_m| arrival::missed_together(drives, cap_m));
+        DriveRecord { missed, ..DriveRecord::mean_of(drives) }
     }
 
     /// Whether it must first be given the drives of the whole grid, by [`Objective::take_grid`].
@@ -145,6 +159,7 @@ impl Objective {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::EndReason;
     use config::Layers;
 
     fn objective(name: &str, sets: &[&str]) -> Objective {
@@ -210,8 +225,8 @@ mod tests {
         let at =
             |steering_travel_radps| priced.of(&DriveRecord { steering_travel_radps, ..drive() });
         assert_eq!([0.0, 0.6].map(at), [0.2, 0.2]);
-        assert!((at(0.6001) - 0.2).abs() < 1e-7);
-        assert!((at(0.9) - 0.2 * 1.25).abs() < 1e-12 && (at(1.2) - 0.4).abs() < 1e-12);
+        assert!((at(0.6001) - 0.2).abs() < 1e-6);
+        assert!((at(0.72) - 0.4).abs() < 1e-12 && (at(0.9) - 0.2 * 7.25).abs() < 1e-12);
     }
 
     #[test]
