@@ -85,6 +85,46 @@ fn noise_over_plants_is_the_same_for_all_sets_whatever_the_fleet_and_whoever_die
 }
 
 #[test]
+fn sets_that_do_not_arrive_over_plants_differ_by_how_many_plants_and_how_far() {
+    let sandbox = Sandbox::new();
+    let rows = (0..=80).map(|it| f64::from(it)).map(|x| {
+        format!("{x},{:.4},6\n", 1.9 * (std::f64::consts::TAU * (x - 8.0).max(0.0) / 34.0).sin())
+    });
+    fs::write(sandbox.path("curvy.csv"), format!("x_m,y_m,v_mps\n{}", rows.collect::<String>()))
+        .unwrap();
+    fs::write(sandbox.path("car.toml"), "based_on = \"ackermann\"\nname = \"mine\"\n").unwrap();
+    let mut args = vec!["--path", "curvy.csv", "--vehicle", "car.toml", "--law", "pure_pursuit"];
+    // Look-aheads from much too short to much too long, of which most leave the path on some plant.
+    let axes = [
+        "grid.kv={min=1.0,max=1.0,step=1.0}",
+        "grid.ld_min={min=0.5,max=12.5,step=3.0}",
+        "grid.ld_s={min=0.0,max=2.0,step=1.0}",
+        "grid.filter={min=0.0,max=0.0,step=1.0}",
+        "controller.compensate_dead_time=false",
+        "vehicle.safety.path_distance_limit_m=1.0",
+    ];
+    axes.iter().for_each(|set| args.extend(["--set", set]));
+    sandbox.json("out", &[&["grid"], &args[..], &["--over", "default", "--noise"]].concat());
+    let mut reader = csv::Reader::from_path(sandbox.path("out/grid.csv")).unwrap();
+    let rows = reader.deserialize().map(|row| row.unwrap());
+    let sets: Vec<std::collections::BTreeMap<String, String>> = rows.collect();
+    let mut lost: Vec<f64> = sets
+        .iter()
+        .filter(|it| it["arrived"] == "false")
+        .map(|it| it["value"].parse().unwrap())
+        .collect();
+    let arrived = sets.iter().filter(|it| it["arrived"] == "true").map(|it| &it["value"]);
+    let worst = arrived.map(|it| it.parse().unwrap()).fold(0.0, f64::max);
+    lost.sort_by(f64::total_cmp);
+    assert!(lost.len() >= 5, "{lost:?}");
+    assert!(lost[0] > worst && lost.iter().all(|it| it.is_finite()), "{worst}, {lost:?}");
+    lost.dedup();
+    let count = sets.iter().filter(|it| it["arrived"] == "false").count();
+    assert_eq!(lost.len(), count, "{lost:?}");
+    sandbox.assert_clean();
+}
+
+#[test]
 fn a_fragile_set_is_called_so_and_promoted_only_by_force() {
     let sandbox = Sandbox::new();
     fs::write(sandbox.path("car.toml"), "name = \"mine\"\n").unwrap();

@@ -22,7 +22,7 @@ pub(crate) fn scale_to_the_car(values: &mut Table, origins: &BTreeMap<String, St
         find(values, "maneuver").and_then(Value::as_str) == Some(crate::presets::OWN_PATH);
     let Some(wheelbase_m) = find(values, "vehicle.wheelbase_m").and_then(number) else { return };
     let ratio = wheelbase_m / FULL_SIZE_WHEELBASE_M;
-    if !is_own_path || !(ratio > 0.0 && ratio.is_finite()) {
+    if !(is_own_path && ratio > 0.0 && ratio.is_finite()) {
         return;
     }
     if ratio != 1.0 {
@@ -56,4 +56,38 @@ fn speed_at_goal_mps(values: &Table) -> Option<f64> {
     let last = of_path.and_then(|it| it.last()).and_then(number);
     let speed_mps = last.or_else(|| find(values, "reference.speed_mps").and_then(number))?;
     (speed_mps >= 0.0 && speed_mps.is_finite()).then_some(speed_mps)
+}
+
+#[cfg(test)]
+#[allow(clippy::disallowed_methods, reason = "a test writes a path's file")]
+mod tests {
+    use super::*;
+    use crate::Layers;
+
+    #[test]
+    fn the_goal_is_as_wide_as_the_car_is_long_and_fast_unless_somebody_set_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let radius_m = |vehicle: &str, last_mps: f64, sets: &[&str]| {
+            let file = folder.path().join("path.csv");
+            let path = format!("x_m,y_m,v_mps\n0,0,1\n40,0,{last_mps}\n");
+            std::fs::write(&file, path).unwrap();
+            let mut layers = Layers::maneuver(crate::presets::OWN_PATH).unwrap();
+            layers.set(&format!("vehicle={vehicle}")).unwrap();
+            sets.iter().for_each(|set| layers.set(set).unwrap());
+            layers.add_path(&file).unwrap();
+            layers.resolve().unwrap().drive.goal_radius_m
+        };
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a}, {b}");
+        near(radius_m("tesla_model_3", 1.5, &[]), 0.2);
+        near(radius_m("tesla_model_3", 3.0, &[]), 0.3);
+        let of_small: Vec<f64> = [0.2, 0.6, 3.0].map(|mps| radius_m("f1tenth", mps, &[])).to_vec();
+        near(of_small[0], LEAST_GOAL_M);
+        near(of_small[1], 0.06);
+        assert!(of_small[2] < 0.1, "{of_small:?}");
+        near(radius_m("tesla_model_3", 3.0, &["drive.goal_radius_m=0.7"]), 0.7);
+        // The paper's manoeuvres keep theirs, for every car.
+        let mut layers = Layers::maneuver("roundabout").unwrap();
+        layers.set("reference.speed_mps=6.0").unwrap();
+        near(layers.resolve().unwrap().drive.goal_radius_m, 0.2);
+    }
 }

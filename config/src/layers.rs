@@ -8,9 +8,7 @@ use toml_edit::TableLike;
 
 use crate::lengths::fit_lengths;
 use crate::presets::{hint, maneuver_names, names_in, nearest, preset};
-use crate::{
-    ConfigError, FULL_SIZE_WHEELBASE_M, Limit, RunConfig, Vehicle, tuned, validate, vehicles,
-};
+use crate::{ConfigError, Limit, RunConfig, Vehicle, tuned, validate, vehicles};
 
 /// A stack of layers: the topmost value of each key, with its origin.
 #[derive(Debug, Clone)]
