@@ -87,12 +87,16 @@ fn noise_over_plants_is_the_same_for_all_sets_whatever_the_fleet_and_whoever_die
 #[test]
 fn sets_that_do_not_arrive_over_plants_differ_by_how_many_plants_and_how_far() {
     let sandbox = Sandbox::new();
-    let rows = (0..=80).map(|it| f64::from(it)).map(|x| {
-        format!("{x},{:.4},6\n", 1.9 * (std::f64::consts::TAU * (x - 8.0).max(0.0) / 34.0).sin())
+    let rows = (0..=320).map(|it| 0.25 * f64::from(it)).map(|x| {
+        // The curves begin gently.
+        let share = ((x - 8.0) / 16.0).clamp(0.0, 1.0);
+        let wide_m = 1.9 * share * share * (3.0 - 2.0 * share);
+        format!("{x},{:.5},6\n", wide_m * (std::f64::consts::TAU * (x - 8.0) / 34.0).sin())
     });
-    fs::write(sandbox.path("curvy.csv"), format!("x_m,y_m,v_mps\n{}", rows.collect::<String>()))
-        .unwrap();
-    fs::write(sandbox.path("car.toml"), "based_on = \"ackermann\"\nname = \"mine\"\n").unwrap();
+    let rows: String = rows.collect();
+    fs::write(sandbox.path("curvy.csv"), format!("x_m,y_m,v_mps\n{rows}")).unwrap();
+    let car = "based_on = \"ackermann\"\nname = \"mine\"\nspeed_limit_mps = 7.5\n";
+    fs::write(sandbox.path("car.toml"), car).unwrap();
     let mut args = vec!["--path", "curvy.csv", "--vehicle", "car.toml", "--law", "pure_pursuit"];
     // Look-aheads from much too short to much too long, of which most leave the path on some plant.
     let axes = [

@@ -23,16 +23,20 @@ impl Limits {
         self.0 != with_price_alone
     }
 
-    /// What the objective is multiplied by: 1 + (5·e)², with the excess e = travel / threshold − 1, or 1 below the
-    /// threshold. Value and slope are continuous there. So steep because a car that is shaken a little more may well be
-    /// nearer to the path by half: with 1 + e² sets were chosen that turn the wheels half as much again.
+    /// What the objective is multiplied by, with the excess e = travel / threshold − 1:
+    ///
+    ///   1 below the threshold, 1 + (5·e)² up to e = 1/5, and from there on along the tangent, 10·e
+    ///
+    /// Value and slope are continuous. So steep because a car that is shaken a little more may well be nearer to the path
+    /// by half: with 1 + e² sets were chosen that turn the wheels half as much again. And no steeper, so that all that
+    /// shake are told apart.
     pub(super) fn price(&self, drive: &DriveRecord) -> f64 {
         let from = self.0.steering_travel_price_radps;
         if from <= 0.0 || drive.steering_travel_radps <= from {
             return 1.0;
         }
         let excess = STEEPNESS * (drive.steering_travel_radps / from - 1.0);
-        1.0 + excess * excess
+        if excess <= 1.0 { 1.0 + excess * excess } else { 2.0 * excess }
     }
 
     /// How much a drive misses the limits by: 0 if it keeps them all, at most 1 for each that it breaks.

@@ -85,6 +85,13 @@ objectives! {
 /// Bounds the value of a drive within the limits, if drives end by their time: no drive worth its name is so far off.
 const WITHIN_LIMITS_WHEELBASES: f64 = 10.0;
 
+/// A value of which half the bound is left as it is, and what is beyond comes nearer and nearer to the bound: of two
+/// values the larger one stays the larger one.
+fn bounded(value: f64, bound: f64) -> f64 {
+    let half = 0.5 * bound;
+    if value <= half { value } else { bound - half * (half / value) }
+}
+
 /// The objective of a configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Objective {
@@ -131,7 +138,7 @@ impl Objective {
         };
         match missed > 0.0 {
             true => bound * (1.0 + missed),
-            false => (self.kind.of(drive) * self.limits.price(drive)).min(bound),
+            false => bounded(self.kind.of(drive) * self.limits.price(drive), bound),
         }
     }
 
@@ -226,7 +233,7 @@ mod tests {
             |steering_travel_radps| priced.of(&DriveRecord { steering_travel_radps, ..drive() });
         assert_eq!([0.0, 0.6].map(at), [0.2, 0.2]);
         assert!((at(0.6001) - 0.2).abs() < 1e-6);
-        assert!((at(0.72) - 0.4).abs() < 1e-12 && (at(0.9) - 0.2 * 7.25).abs() < 1e-12);
+        assert!((at(0.72) - 0.4).abs() < 1e-12 && (at(0.9) - 0.2 * 5.0).abs() < 1e-12);
     }
 
     #[test]
@@ -261,6 +268,20 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn what_arrives_is_told_apart_however_far_it_is_from_the_path() {
+        let sets =
+            ["objective.cap_wheelbases=2.0", "objective.limits.steering_travel_price_radps=0.6"];
+        let objective = objective("path", &sets);
+        let of = |path_mean_m, steering_travel_radps| {
+            let reason = EndReason::Goal;
+            objective.of(&DriveRecord { path_mean_m, steering_travel_radps, reason, ..drive() })
+        };
+        let values = [of(2.8, 0.0), of(2.9, 0.0), of(4.0, 0.0), of(4.0, 1.0), of(40.0, 9.0)];
+        assert!(values.is_sorted_by(|a, b| a < b) && values[4] < 5.75, "{values:?}");
+        assert_eq!(values[0], 2.8);
     }
 
     #[test]
