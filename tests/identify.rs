@@ -200,6 +200,8 @@ fn the_excitation_is_driven_and_names_the_command_that_identifies() {
     assert!(output.status.success(), "{}", stderr(&output));
     let told = String::from_utf8(output.stdout).unwrap();
     assert!(told.contains("pathtune identify "), "{told}");
+    // It follows no path.
+    assert!(told.contains("rad/s on average") && !told.contains("off the path"), "{told}");
     assert!(told.contains("out/recording.mcap --vehicle true.toml"), "{told}");
     let args = ["identify", "out/recording.mcap", "--vehicle", "car.toml", "--write"];
     let output = sandbox.run(&args);
@@ -392,10 +394,20 @@ fn python() -> Option<String> {
     python
 }
 
-/// CommonRoad's multi-body car (29 states) behind a dead time and a lag, from an excitation to a prediction. With
-/// `PATHTUNE_MULTI_BODY=1` it is also trained for and driven, in lockstep, and the figures are printed.
+/// Noise of a good receiver: 2 cm, and ± 0.7° evenly.
+const NOISE: [&str; 5] = [
+    "--noise",
+    "--set",
+    "noise.position_sd_m=0.02",
+    "--set",
+    "noise.heading_half_width_rad=0.0122",
+];
+
+/// CommonRoad's multi-body car (29 states) behind a dead time and a lag: excited, identified, trained for and driven in
+/// lockstep, all with noise, beside sets of textbooks for the file as it was. `PATHTUNE_MULTI_BODY=N` trains with as many
+/// drives as an owner would, drives N times each with noise of its own, and prints the figures.
 #[test]
-fn a_car_that_nobody_here_wrote_is_predicted_to_centimetres() {
+fn a_car_that_nobody_here_wrote_is_identified_tuned_and_driven_nearer_than_textbooks_do() {
     let Some(python) = python() else { return };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/shm_car.py");
     let car = format!(
@@ -403,15 +415,14 @@ fn a_car_that_nobody_here_wrote_is_predicted_to_centimetres() {
         script.display()
     );
     let sandbox = Sandbox::new();
-    fs::write(sandbox.path("car.toml"), "based_on = \"ackermann\"\nname = \"mine\"\n").unwrap();
-    let noise =
-        ["--set", "noise.position_sd_m=0.02", "--set", "noise.heading_half_width_rad=0.0122"];
-    let args =
-        ["excite", "--vehicle", "car.toml", "--out", "excited", "--noise", "--replace", &car];
-    let output = sandbox.run(&[&args[..], &noise].concat());
+    for name in ["car.toml", "file.toml"] {
+        fs::write(sandbox.path(name), "based_on = \"ackermann\"\nname = \"mine\"\n").unwrap();
+    }
+    let args = ["excite", "--vehicle", "car.toml", "--out", "excited", "--replace", &car];
+    let output = sandbox.run(&[&args[..], &NOISE].concat());
     assert!(output.status.success(), "{}", stderr(&output));
-    let args = ["identify", "excited/recording.mcap", "--vehicle", "car.toml"];
-    let output = sandbox.run(&[&args[..], &["--json"]].concat());
+    let args = ["identify", "excited/recording.mcap", "--vehicle", "car.toml", "--json", "--write"];
+    let output = sandbox.run(&args);
     assert!(output.status.success(), "{}", stderr(&output));
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(json["predicts_better"], true, "{json}");
@@ -419,49 +430,64 @@ fn a_car_that_nobody_here_wrote_is_predicted_to_centimetres() {
     let after = |index: usize| predictions[index]["after_m"].as_f64().unwrap();
     println!("predicted over 1 s to {:.4} m, over 3 s to {:.4} m", after(0), after(1));
     assert!(after(0) < 0.03 && after(1) < 0.05, "{predictions:?}");
-    if std::env::var_os("PATHTUNE_MULTI_BODY").is_some() {
-        let output = sandbox.run(&[&args[..], &["--write"]].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
-        train_and_drive(&sandbox, &car);
-    }
+    let times = std::env::var("PATHTUNE_MULTI_BODY").ok();
+    let times = times.map(|text| text.parse().expect("PATHTUNE_MULTI_BODY is a number of drives"));
+    train_and_drive(&sandbox, &car, times);
     sandbox.assert_clean();
 }
 
-/// `smooth_lane` at 3.5 m/s: pure pursuit, compensated and trained over eight plants, beside textbook sets that are neither.
-fn train_and_drive(sandbox: &Sandbox, car: &str) {
-    fs::write(sandbox.path("file.toml"), "based_on = \"ackermann\"\nname = \"mine\"\n").unwrap();
+/// `smooth_lane` at 3.5 m/s: pure pursuit, compensated and trained over the default plants with the noise of the file that
+/// was identified, beside textbook sets that are neither. Without `times` as little as shows it.
+fn train_and_drive(sandbox: &Sandbox, car: &str, times: Option<u64>) {
     let mut args = vec!["train", "smooth_lane", "--vehicle", "car.toml", "--law", "pure_pursuit"];
-    args.extend(["--over", "default", "--tuner", "cmaes", "--drives", "60"]);
+    args.extend(["--over", "default", "--noise", "--tuner", "cmaes"]);
+    args.extend(["--set", "tuner.settings.draw=continuous", "--set", "ranking.max_ticks=0"]);
+    args.extend(["--drives", if times.is_some() { "64" } else { "12" }]);
+    if times.is_none() {
+        let few = ["over.repeats=1", "robust.finalists=1", "robust.repeats=2", "robust.fresh=2"];
+        few.iter().for_each(|set| args.extend(["--set", set]));
+    }
     let trained = sandbox.json("trained", &args);
     let gains: Vec<String> = ["kv", "ld_min", "ld_s", "filter"]
         .map(|key| trained["gains"][key].as_f64().unwrap().to_string())
         .to_vec();
     let tuned = gains.join(",");
-    let mean = |result: &Value| result["path_mean_m"].as_f64().unwrap();
+    // Means of mean distance and steering travel, and the largest distance.
     let drive = |out: &str, vehicle: &str, law: &str, gains: &str, more: &[&str]| {
-        let args = ["drive", "smooth_lane", "--vehicle", vehicle, "--law", law, "--gains", gains];
-        let driven = sandbox.json(out, &[&args[..], more].concat());
-        println!("{law} {gains}: {:.4} m, {}", mean(&driven), driven["path_max_m"]);
-        driven
+        let (mut mean_m, mut max_m, mut travel_radps) = (0.0, 0.0_f64, 0.0);
+        let times = times.unwrap_or(1);
+        for seed in 1..=times {
+            let seed_is = format!("run.seed={seed}");
+            let mut args = vec!["drive", "smooth_lane", "--vehicle", vehicle, "--law", law];
+            args.extend(["--gains", gains, "--set", &seed_is]);
+            args.extend(NOISE.iter().chain(more));
+            let driven = sandbox.json(&format!("{out}_{seed}"), &args);
+            let figure = |key: &str| driven[key].as_f64().unwrap();
+            mean_m += figure("path_mean_m") / times as f64;
+            travel_radps += figure("steering_travel_radps") / times as f64;
+            max_m = max_m.max(figure("path_max_m"));
+        }
+        println!("{out}: {law} {gains}: {mean_m:.4} m, {max_m:.3} m, {travel_radps:.3} rad/s");
+        (mean_m, max_m, travel_radps)
     };
-    let simulated = drive("simulated", "car.toml", "pure_pursuit", &tuned, &[]);
-    let driven = drive("driven", "car.toml", "pure_pursuit", &tuned, &["--replace", car]);
+    let (simulated_m, ..) = drive("simulated", "car.toml", "pure_pursuit", &tuned, &[]);
+    let (mean_m, max_m, travel_radps) =
+        drive("driven", "car.toml", "pure_pursuit", &tuned, &["--replace", car]);
     let untuned = [
         ("pure_pursuit", "1,2,0.8,0"),
-        ("pure_pursuit", "1,2,1,0"),
         ("stanley", "1,1,1,0"),
+        ("pure_pursuit", "1,2,1,0"),
         ("stanley", "1,2.5,1,0"),
     ];
+    // The first two are the best of them.
+    let of_these = if times.is_some() { untuned.len() } else { 2 };
     let plain = ["--set", "controller.compensate_dead_time=false", "--replace", car];
-    let best = untuned.iter().enumerate().map(|(index, (law, gains))| {
-        mean(&drive(&format!("untuned_{index}"), "file.toml", law, gains, &plain))
+    let best = untuned[..of_these].iter().enumerate().map(|(index, (law, gains))| {
+        drive(&format!("untuned_{index}"), "file.toml", law, gains, &plain).0
     });
-    let best = best.fold(f64::INFINITY, f64::min);
-    println!(
-        "tuned {:.4} m (simulated {:.4} m), best untuned {best:.4} m",
-        mean(&driven),
-        mean(&simulated)
-    );
-    assert!(mean(&driven) < 0.65 * best);
-    assert!(driven["path_max_m"].as_f64().unwrap() < 0.25);
+    let best_m = best.fold(f64::INFINITY, f64::min);
+    println!("tuned {mean_m:.4} m (simulated {simulated_m:.4} m), best untuned {best_m:.4} m");
+    assert!(mean_m < 0.65 * best_m && max_m < 0.25 && travel_radps < 0.65);
+    // Predicted to a millimetre or 15 %, whichever is more.
+    assert!((simulated_m - mean_m).abs() < (0.15 * mean_m).max(0.0015));
 }

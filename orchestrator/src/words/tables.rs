@@ -210,7 +210,8 @@ fn print_grid(it: &GridResult, config: &RunConfig) -> Result<(), Failure> {
     Ok(())
 }
 
-fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
+/// The figures of one drive, with its sets: those of a manoeuvre where they differ.
+fn print_table_of_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
     let measures = MeasureColumns::new(config, false);
     let last = ["along m²", "cross m²", "max cross-track error m"];
     let mut table = table_of(&header("", &config.law, measures.header().chain(last)));
@@ -230,6 +231,15 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         table.add_row(cells);
     }
     say!("{table}");
+    Ok(())
+}
+
+fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
+    // An excitation follows no path: its distances from the one of its configuration mean nothing.
+    let follows_path = config.law.name != "excitation";
+    if follows_path {
+        print_table_of_drive(it, config)?;
+    }
     let reason = match &*it.reason {
         "goal" => "at the path's end",
         "collision" => "in a collision",
@@ -260,7 +270,7 @@ fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
         }
     }
     say_effort("steering", &it.measures, config)?;
-    if let Some(it) = it.fastest {
+    if let Some(it) = it.fastest.filter(|_| follows_path) {
         say!(
             "at its fastest {} m/s, where the path says {} m/s",
             digits(it.speed_mps, 2),
