@@ -122,7 +122,7 @@ impl Objective {
     /// If drives are meant to arrive, or have limits, the value of one that does and keeps them is bounded. The value of
     /// any other is the bound times (1 + how much it misses), so that it ranks behind all that arrive within the limits.
     /// What one misses that does not arrive is as much as one can miss that breaks all limits, so that it ranks behind all
-    /// that arrive, and the more the less far it came and the farther from the path it was: [`arrival::missed`].
+    /// that arrive, and the more the less far it came and the farther from the path it was, as `arrival.rs` says.
     pub fn of(&self, drive: &DriveRecord) -> f64 {
         if self.cap_m.is_none() && !self.limits.are_hard() {
             return self.kind.of(drive) * self.limits.price(drive);
@@ -143,7 +143,7 @@ impl Objective {
     }
 
     /// One record of several drives with the same parameters: their means, and where drives are meant to arrive what they
-    /// missed together, so that the number that arrive counts first: [`arrival::missed_together`].
+    /// missed together, so that the number that arrive counts first.
     ///
     /// # Panics
     /// If there is no drive.
