@@ -140,6 +140,7 @@ fn promises(envelope: &Envelope) -> Vec<String> {
             percent(it.alpha)
         ));
     }
+    lines.extend(rests_on_one(envelope));
     let left_out = it.left_out as f64 / (it.left_out + it.scaled_on + it.threshold_on) as f64;
     if left_out > 0.01 {
         lines.push(format!(
@@ -149,6 +150,25 @@ fn promises(envelope: &Envelope) -> Vec<String> {
         ));
     }
     lines
+}
+
+/// The largest score and the next are as far apart as this where a single drive delays all alarms.
+const APART: f64 = 1.15;
+/// So many drives for the threshold let two of them lie above it.
+const DRIVES_THAT_FORGIVE: u64 = 1000;
+
+/// Whether the threshold rests on a single drive that is not like the others, and what that means.
+fn rests_on_one(envelope: &Envelope) -> Option<String> {
+    let [.., next, largest] = envelope.scores[..] else { return None };
+    (envelope.promise.above == 0 && largest > APART * next).then(|| {
+        format!(
+            "warning: the threshold is the score of a single drive, {largest:.3}, and the next one has {next:.3}: a fault must \
+             show about {:.1} times as clearly, or as long, before there is an alarm. With {DRIVES_THAT_FORGIVE} drives for \
+             the threshold (--drives {}), two such drives may lie above it",
+            largest / next,
+            2 * DRIVES_THAT_FORGIVE
+        )
+    })
 }
 
 fn file_of(args: &CalibrateArgs, maneuver: &str) -> PathBuf {

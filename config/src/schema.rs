@@ -139,7 +139,11 @@ impl RunConfig {
         match self.vehicle.safety.watch_response {
             Watched::On => true,
             Watched::Off => false,
-            Watched::Auto => !self.is_as_in_the_paper(),
+            // An envelope that stops the vehicle changes the paper's drives anyway.
+            Watched::Auto => {
+                let is_stopped_by_envelope = self.envelope.is_some() && !self.envelope_only_judges;
+                is_stopped_by_envelope || !self.is_as_in_the_paper()
+            }
         }
     }
 
@@ -794,6 +798,10 @@ fn anywhere() -> [f64; 4] {
     [f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY]
 }
 
+fn derived() -> Limit {
+    Limit::Auto
+}
+
 /// Limits for commands to the vehicle, and for the plausibility of its odometry. `inf` switches a limit off.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -802,6 +810,8 @@ pub struct Safety {
     pub acceleration_limit_mps2: f64,
     pub deceleration_limit_mps2: f64,
     pub jerk_limit_mps3: f64,
+    #[serde(default = "derived")]
+    pub full_brake_mps2: Limit,
     pub reverse_limit_mps: f64,
     pub steering_rate_limit_radps: f64,
     pub lateral_acceleration_limit_mps2: f64,
@@ -815,4 +825,19 @@ pub struct Safety {
     pub degraded_limit_s: f64,
     pub answer_age_limit_s: f64,
     pub command_age_limit_s: f64,
+}
+
+impl Safety {
+    /// How fast the commanded speed may fall in a full brake, where that has a limit of its own.
+    pub fn own_full_brake_mps2(&self) -> Option<f64> {
+        match self.full_brake_mps2 {
+            Limit::Auto => None,
+            Limit::Is(limit) => Some(limit),
+        }
+    }
+
+    /// How fast the commanded speed may fall in a full brake.
+    pub fn full_brake_mps2(&self) -> f64 {
+        self.full_brake_mps2.or(self.deceleration_limit_mps2)
+    }
 }

@@ -378,6 +378,9 @@ fn safety(config: &RunConfig) -> Result<(), Problem> {
     ] {
         above(&format!("vehicle.safety.{key}"), limit, 0.0, f64::INFINITY)?;
     }
+    if let Some(limit) = s.own_full_brake_mps2() {
+        above("vehicle.safety.full_brake_mps2", limit, 0.0, f64::INFINITY)?;
+    }
     within("vehicle.safety.reverse_limit_mps", s.reverse_limit_mps, 0.0, f64::INFINITY)?;
     for (key, limit) in [
         ("path_distance_limit_m", s.path_distance_limit_m),

@@ -4,7 +4,9 @@
 //! `PATHTUNE_DRIVES` is the number of drives with each fault, `PATHTUNE_ENVELOPE_DRIVES` that of the drives that are
 //! calibrated on: few of both by default. `PATHTUNE_SPEEDS`, `PATHTUNE_VEHICLE` and `PATHTUNE_SETS` change the car and
 //! how it drives, each value behind a space; `PATHTUNE_GAINS=3,21,21,0.7` is one set for the whole circuit, and with
-//! `PATHTUNE_SPREAD=nothing` the faulty vehicles are all of the file, while calibrated ones differ as ever.
+//! `PATHTUNE_SPREAD=nothing` the faulty vehicles are all of the file, while calibrated ones differ as ever. `PATHTUNE_SEED`
+//! gives other drives, both calibrated and faulty ones, and with `PATHTUNE_ALL=1` all speeds are driven, however many come
+//! too far from the path.
 
 // A test reads what it is to drive.
 #![allow(clippy::disallowed_methods)]
@@ -56,7 +58,8 @@ struct Driven {
 fn drive(config: &RunConfig, sets: &[Parameters], fault: Fault, drives: u32) -> Vec<Driven> {
     let one = |index: u32| {
         let from_m = 2.0 + 168.0 * (f64::from(index) + 0.5) / f64::from(drives);
-        let (plant, seed) = varied(config, FRESH, index, spread());
+        let (plant, seed) =
+            varied(config, FRESH + u64::from(number("PATHTUNE_SEED", 0)), index, spread());
         let car = Troubled::new(&plant, fault, from_m, (0, 0.0));
         let (mut driven_m, mut since_s) = (0.0, 0.0);
         let mut driven = Driven { farthest_m: 0.0, stopped: None };
@@ -93,6 +96,7 @@ fn the_envelopes_alarm_keeps_faulty_vehicles_near_their_path() {
     let speeds = std::env::var("PATHTUNE_SPEEDS").unwrap_or_else(|_| "1.45 3 4".to_owned());
     for speed_mps in speeds.split_whitespace().map(|it| it.parse().unwrap()) {
         let (mut config, _) = circuit(speed_mps);
+        config.run.seed += u64::from(number("PATHTUNE_SEED", 0));
         let sets = sets_of(&config);
         let envelope = calibrate(&config, &sets, calibrated, Varied, |_| {}).unwrap();
         let sets = if sets.len() == 1 { sets } else { config.sets_by_zone(&sets) };
@@ -144,7 +148,9 @@ fn the_envelopes_alarm_keeps_faulty_vehicles_near_their_path() {
             "{speed_mps} m/s: {all} beyond 1 m, {of_nothing} with nothing; {early} stopped before the fault"
         );
         let most = count as usize * 13 * 30 / 520;
-        assert!(all <= most, "{all} beyond 1 m at {speed_mps} m/s, and at most {most} may be");
+        if std::env::var("PATHTUNE_ALL").is_err() {
+            assert!(all <= most, "{all} beyond 1 m at {speed_mps} m/s, and at most {most} may be");
+        }
         assert!(of_nothing > all, "the faults do no harm");
     }
 }

@@ -4,7 +4,8 @@
 //! limits hold at the same time for every command, whatever is asked for:
 //!
 //! - the highest and lowest speed; the steering angle;
-//! - how fast the speed changes, and how fast that changes (jerk); how fast the steering angle changes;
+//! - how fast the speed changes, and how fast that changes (jerk), where a full brake may have a limit of its own; how fast
+//!   the steering angle changes;
 //! - the lateral acceleration v²·tan|φ|/L of the command.
 //!
 //! The yaw rate of a command is that of its speed and its steering angle, v·tan φ/L, so it is limited with them.
@@ -98,6 +99,8 @@ struct Limits {
     deceleration_mps2: f64,
     jerk_mps3: f64,
     stop_mps2: f64,
+    /// In a full brake, in place of the limits of deceleration and jerk, where it is stated.
+    full_brake_mps2: Option<f64>,
     steering_rad: f64,
     steering_rate_radps: f64,
     lateral_mps2: f64,
@@ -115,6 +118,7 @@ impl Gate {
             deceleration_mps2: safety.deceleration_limit_mps2,
             jerk_mps3: safety.jerk_limit_mps3,
             stop_mps2: safety.stop_deceleration_mps2,
+            full_brake_mps2: safety.own_full_brake_mps2(),
             // The law keeps within the same limit: a command beyond it cannot come from a healthy controller.
             steering_rad: config.controller.steering_limit_rad,
             steering_rate_radps: safety.steering_rate_limit_radps,
@@ -172,11 +176,32 @@ impl Gate {
     }
 
     /// A command of the gate's own: as fast as the limits allow to this speed, 0 or less, and steered as wanted. Steering
-    /// that is not finite is held.
-    pub fn brake(&mut self, dt_s: f64, speed_mps: f64, wanted_rad: f64) -> Passed {
+    /// that is not finite is held. `measured_mps` is the vehicle's own speed: where a full brake has a limit of its own, the
+    /// command falls ahead of the vehicle, whose lateral acceleration still counts.
+    pub fn brake(
+        &mut self,
+        dt_s: f64,
+        speed_mps: f64,
+        wanted_rad: f64,
+        measured_mps: f64,
+    ) -> Passed {
         let wanted_rad = if wanted_rad.is_finite() { wanted_rad } else { self.steering_rad };
         let speed_mps = speed_mps.min(0.0).max(-self.limits.reverse_mps);
-        self.shape(dt_s, speed_mps, f64::INFINITY, wanted_rad)
+        let Some(full_mps2) = self.limits.full_brake_mps2 else {
+            return self.shape(dt_s, speed_mps, f64::INFINITY, wanted_rad);
+        };
+        let limits = self.limits;
+        let kept = limits.lateral_rad(measured_mps).max(self.steering_rad.abs());
+        let bound_rad = if measured_mps.is_finite() { kept } else { self.steering_rad.abs() };
+        self.limits.deceleration_mps2 = full_mps2;
+        self.limits.jerk_mps3 = f64::INFINITY;
+        let mut passed =
+            self.shape(dt_s, speed_mps, f64::INFINITY, wanted_rad.clamp(-bound_rad, bound_rad));
+        self.limits = limits;
+        // What comes after the brake starts from a command that rests, as the vehicle does.
+        self.acceleration_mps2 = 0.0;
+        passed.change.lateral_limited |= wanted_rad.abs() > bound_rad;
+        passed
     }
 
     /// A command of the gate's own: slower, and straight on.

@@ -118,7 +118,7 @@ impl Ladder {
             blind_s: 0.0,
             count: 0,
             brake_mps: BRAKE_MPS.max(-safety.reverse_limit_mps),
-            deceleration_mps2: vehicle.brake_decel_mps2.min(safety.deceleration_limit_mps2),
+            deceleration_mps2: vehicle.brake_decel_mps2.min(safety.full_brake_mps2()),
             blind_limit_s: safety.degraded_limit_s,
             standstill_mps: safety.standstill_mps,
         }

@@ -29,6 +29,10 @@ const STEERING_RAD: f64 = 0.05;
 /// smaller one leaves its path sooner, and less is too much, by the root of how much smaller it is.
 const REVERSED_RAD_S: f64 = 0.015;
 const ASTRAY_RAD_S: f64 = 0.05;
+/// Of a vehicle that is being stopped because it does not drive as it should, a fifth of that is enough, and the wheels need
+/// not have come as far as they were told: that something is wrong is known by then, and the question is only whether
+/// steering helps.
+const SUSPECTED_RAD_S: f64 = REVERSED_RAD_S / 5.0;
 /// How much faster than told the vehicle may be: by this share, and by this speed.
 const SPEED_SHARE: f64 = 0.25;
 const SPEED_MPS: f64 = 0.3;
@@ -65,6 +69,8 @@ pub struct Response {
     /// What it showed when it was last told to go straight on; `None` before the vehicle rolls.
     straight: Option<f64>,
     reversed_rad_s: f64,
+    /// How much it has been turned to the side that it was not told to turn to.
+    contrary_rad_s: f64,
     astray_rad_s: f64,
     run_m: f64,
     stands_s: f64,
@@ -76,6 +82,7 @@ pub struct Response {
     tick_s: f64,
     wheelbase_m: f64,
     reversed_limit_rad_s: f64,
+    suspected_limit_rad_s: f64,
     astray_limit_rad_s: f64,
     crawls_mps: f64,
     slowing_mps2: f64,
@@ -104,6 +111,7 @@ impl Response {
             shown: 0.0,
             straight: None,
             reversed_rad_s: 0.0,
+            contrary_rad_s: 0.0,
             astray_rad_s: 0.0,
             run_m: 0.0,
             stands_s: 0.0,
@@ -114,6 +122,7 @@ impl Response {
             tick_s: config.drive.tick_s,
             wheelbase_m: vehicle.wheelbase_m,
             reversed_limit_rad_s: REVERSED_RAD_S * size,
+            suspected_limit_rad_s: SUSPECTED_RAD_S * size,
             astray_limit_rad_s: ASTRAY_RAD_S * size,
             crawls_mps: CRAWLS_MPS.max(CRAWLS_WHEELBASES_PER_S * vehicle.wheelbase_m),
             slowing_mps2: SLOWING_SHARE * vehicle.safety.stop_deceleration_mps2,
@@ -140,7 +149,8 @@ impl Response {
     pub fn forgive(&mut self) {
         self.means.restart();
         (self.straight, self.ticks) = (None, 0);
-        (self.reversed_rad_s, self.astray_rad_s, self.run_m, self.stands_s) = (0.0, 0.0, 0.0, 0.0);
+        (self.reversed_rad_s, self.contrary_rad_s, self.astray_rad_s) = (0.0, 0.0, 0.0);
+        (self.run_m, self.stands_s) = (0.0, 0.0);
         self.faults = 0;
     }
 
@@ -231,6 +241,7 @@ impl Response {
             Some(_) => lasted_s / (SMOOTHED_OVER_S + lasted_s),
             None => 1.0,
         };
+        self.judge_side(told, shown - self.straight.unwrap_or(0.0), lasted_s);
         self.told += share * (told - self.told);
         self.shown += share * (shown - self.shown);
         let (told, shown, size) = (self.told, self.shown, self.told.abs());
@@ -250,9 +261,27 @@ impl Response {
         self.astray_rad_s = (self.astray_rad_s + counts * beyond * lasted_s).clamp(0.0, most);
     }
 
+    /// Whether it is turned to the side that it was told to turn to, now: nothing is smoothed, as time is short.
+    fn judge_side(&mut self, told: f64, turned: f64, lasted_s: f64) {
+        let clear = told.abs().min(turned.abs()) > CLEAR_RAD;
+        let by = match told * turned < 0.0 {
+            true if clear => told.abs().min(turned.abs()),
+            true => 0.0,
+            false => -told.abs(),
+        };
+        self.contrary_rad_s = (self.contrary_rad_s + by * lasted_s).max(0.0);
+    }
+
     /// Bits of [`Safety::reasons`]: what the vehicle does not do as it is told.
     pub fn faults(&self) -> u32 {
         self.faults
+    }
+
+    /// The same of a vehicle that is being stopped and goes on steering: [`Safety::STEERING_REVERSED`] if its steering seems
+    /// to make things worse.
+    pub fn suspicions(&self) -> u32 {
+        let is_reversed = self.contrary_rad_s > self.suspected_limit_rad_s;
+        if is_reversed { Safety::STEERING_REVERSED } else { 0 }
     }
 }
 

@@ -160,6 +160,9 @@ impl Watch {
         };
         let mut faults = faults | missing;
         faults |= self.odometry_faults | self.drive_faults();
+        if self.guard.state() == State::Stopping && self.action() == Some(Action::Brake) {
+            faults |= self.response.as_ref().map_or(0, Response::suspicions);
+        }
         let state = self.guard.update(dt_s, faults, self.gate.speed_mps(), self.speed_mps);
         let (step, harder) =
             self.ladder.step(dt_s, (state, self.guard.reasons()), faults, self.speed_mps);
@@ -171,8 +174,12 @@ impl Watch {
         let mut passed = match (step, usable) {
             (Step::Pass, Some(usable)) => self.gate.pass(dt_s, self.allowed_mps, usable),
             (Step::Pass | Step::SlowDown, _) => self.gate.slow_down(dt_s),
-            (Step::Steered { speed_mps }, _) => self.gate.brake(dt_s, speed_mps, steering_rad),
-            (Step::Straight { speed_mps }, _) => self.gate.brake(dt_s, speed_mps, 0.0),
+            (Step::Steered { speed_mps }, _) => {
+                self.gate.brake(dt_s, speed_mps, steering_rad, self.speed_mps)
+            }
+            (Step::Straight { speed_mps }, _) => {
+                self.gate.brake(dt_s, speed_mps, 0.0, self.speed_mps)
+            }
             (Step::Stand, _) => self.gate.stop(dt_s),
         };
         passed.change.rejected |= missing == Safety::COMMAND_INVALID;
@@ -196,7 +203,8 @@ impl Watch {
     /// wrong by then no longer matters. A vehicle that was being stopped and still drives, at `measured_mps`, is braked on.
     pub fn end(&mut self, dt_s: f64, measured_mps: f64) -> Passed {
         if self.guard.state() == State::Stopping {
-            return self.gate.brake(dt_s, self.ladder.brake_mps(measured_mps), 0.0);
+            let speed_mps = self.ladder.brake_mps(measured_mps);
+            return self.gate.brake(dt_s, speed_mps, 0.0, measured_mps);
         }
         self.gate.stop(dt_s)
     }

@@ -392,3 +392,61 @@ fn a_yaw_rate_that_is_computed_from_the_command_is_told() {
     assert_eq!(drive(true, 1.0), (State::Normal, 0));
     assert_eq!(drive(false, 0.3), (State::Normal, 0));
 }
+
+/// What is done, and since when known to be wrong, 0.4 s after the wheels began to follow only this share of their command;
+/// `stopped` for leaving the envelope by its yaw or not at all.
+fn done_about(share: f64, stopped: bool) -> (Option<Action>, u32) {
+    let mut watch = Watch::new(&config(&["vehicle.wheelbase_m=2.875"]));
+    let mut wheels_rad: f64 = 0.0;
+    let mut told_rad = 0.0;
+    for tick in 0..140u64 {
+        let follows = if tick < 100 { 1.0 } else { share };
+        wheels_rad += (follows * told_rad - wheels_rad).clamp(-0.006, 0.006);
+        let yaw_rate_radps = 3.0 * libm::tan(wheels_rad) / 2.875;
+        let pose = pose(1.0 + 0.03 * tick as f64, 0.0, 0.0);
+        watch.see(tick, Movement { pose, speed_mps: 3.0, yaw_rate_radps }, true);
+        if tick == 100 && stopped {
+            watch.stop(Safety::OUT_BY_YAW);
+        }
+        let raw = RawCommand { speed_mps: 3.0, yaw_rate_radps: 0.0, steering_rad: 0.1 };
+        told_rad = watch.command(TICK_S, 0, Some(raw)).steering_rad;
+    }
+    (watch.action(), watch.reasons())
+}
+
+#[test]
+fn a_vehicle_that_is_braked_and_seems_to_steer_to_the_wrong_side_gets_straight_wheels_early() {
+    // One that drives on is judged with more patience.
+    assert_eq!(done_about(-1.0, false), (None, 0));
+    let out = Safety::OUT_BY_YAW;
+    assert_eq!(
+        done_about(-1.0, true),
+        (Some(Action::BrakeStraight), out | Safety::STEERING_REVERSED)
+    );
+    // Less steering than it was told is still steering.
+    for share in [1.0, 0.6, 0.0] {
+        assert_eq!(done_about(share, true), (Some(Action::Brake), out), "{share}");
+    }
+}
+
+#[test]
+fn where_an_envelope_stops_the_paper_s_vehicle_its_response_is_watched_too() {
+    let mut paper = Layers::maneuver("lane_change").unwrap().resolve().unwrap();
+    assert!(!paper.watches_response());
+    let promise = config::Promise {
+        alpha: 0.01,
+        delta: 0.01,
+        scaled_on: 1000,
+        threshold_on: 1000,
+        above: 2,
+        left_out: 0,
+        varied: String::new(),
+    };
+    let made_for = config::MadeFor::of(&paper, Vec::new());
+    let (channels, scores) = (Vec::new(), Vec::new());
+    paper.envelope =
+        Some(Box::new(config::Envelope { made_for, promise, threshold: 1.0, channels, scores }));
+    assert!(paper.watches_response() && Response::new(&paper).is_some());
+    paper.envelope_only_judges = true;
+    assert!(!paper.watches_response());
+}

@@ -245,18 +245,45 @@ fn a_stop_is_straight_on_and_gentle() {
 fn a_full_brake_is_bounded_by_the_limits_alone_and_steers_as_wanted() {
     let mut gate = strict(&["vehicle.safety.jerk_limit_mps3=inf"]);
     gate.resume(1.0, 0.1);
-    let passed = gate.brake(TICK_S, -1.0, 0.2);
+    let passed = gate.brake(TICK_S, -1.0, 0.2, 1.0);
     assert!(near(passed.speed_mps, 0.96), "{}", passed.speed_mps);
     assert!(near(passed.steering_rad, 0.105), "{}", passed.steering_rad);
-    assert!(near(gate.brake(TICK_S, -1.0, f64::NAN).steering_rad, 0.105));
+    assert!(near(gate.brake(TICK_S, -1.0, f64::NAN, 1.0).steering_rad, 0.105));
     for _ in 0..100 {
-        gate.brake(TICK_S, -3.0, 0.2);
+        gate.brake(TICK_S, -3.0, 0.2, 1.0);
     }
     assert_eq!((gate.speed_mps(), gate.steering_rad()), (-1.0, 0.2));
     // It never speeds up.
     gate.resume(0.02, 0.0);
-    assert_eq!(gate.brake(TICK_S, 5.0, 0.0).speed_mps, 0.0);
-    assert_eq!(paper().brake(TICK_S, -1.0, 0.0).speed_mps, -1.0);
+    assert_eq!(gate.brake(TICK_S, 5.0, 0.0, 0.0).speed_mps, 0.0);
+    assert_eq!(paper().brake(TICK_S, -1.0, 0.0, 0.0).speed_mps, -1.0);
+}
+
+#[test]
+fn a_full_brake_may_have_a_limit_of_its_own() {
+    let mut gate = strict(&["vehicle.safety.full_brake_mps2=inf"]);
+    gate.resume(3.0, 0.1);
+    // At once, but steered within the limits: 3 m/s² at the 6 m/s that the vehicle still drives are less than 0.25 rad.
+    let passed = gate.brake(TICK_S, -1.0, 0.3, 6.0);
+    assert_eq!(passed.speed_mps, -1.0);
+    assert!(near(passed.steering_rad, 0.105), "{}", passed.steering_rad);
+    for _ in 0..100 {
+        gate.brake(TICK_S, -1.0, 0.3, 6.0);
+    }
+    let most_rad = libm::atan(3.0 * 2.875 / 36.0);
+    assert!(near(gate.steering_rad(), most_rad), "{}", gate.steering_rad());
+    // A vehicle whose speed is not known is not turned farther.
+    let passed = gate.brake(TICK_S, -1.0, 0.3, f64::NAN);
+    assert!(near(passed.steering_rad, most_rad) && passed.change.lateral_limited, "{passed:?}");
+    // Afterwards all limits hold as before: 100 m/s³ and 2 m/s².
+    let passed = gate.pass(TICK_S, 9.0, raw(3.0, 0.0));
+    assert!(near(passed.speed_mps, -0.99), "{}", passed.speed_mps);
+    let mut gate = strict(&["vehicle.safety.full_brake_mps2=8.0"]);
+    gate.resume(3.0, 0.0);
+    assert!(near(gate.brake(TICK_S, -1.0, 0.0, 3.0).speed_mps, 2.92));
+    // Other stops keep to the limits.
+    gate.resume(3.0, 0.0);
+    assert!(gate.stop(TICK_S).speed_mps > 2.97);
 }
 
 #[test]
@@ -410,7 +437,7 @@ fn of_ten_million_commands_none_out_of_limits_passes() {
                 1 => gate.slow_down(given_s),
                 3..=5 => {
                     let wanted_mps = stream.number(limits.speed);
-                    gate.brake(given_s, wanted_mps, stream.number(limits.steering))
+                    gate.brake(given_s, wanted_mps, stream.number(limits.steering), 0.0)
                 }
                 2 => {
                     gate.resume(stream.number(limits.speed), stream.number(limits.steering));
