@@ -29,11 +29,13 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
         vehicle: args.vehicle.clone(),
         law: args.law.clone(),
         set: args.set.clone(),
+        over: None,
         json: false,
+        report: None,
         write: None,
         check: None,
     };
-    let Certifiable { mut config, sets, note } = certifiable(&of)?;
+    let Certifiable { mut config, sets, note, .. } = certifiable(&of)?;
     if let Some(seed) = args.seed {
         config.run.seed = seed;
     }

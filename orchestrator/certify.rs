@@ -4,19 +4,23 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::Path;
 
-use certificate::{AtSpeed, CLAIM, Certificate, Certified, Extent, LARGEST_LEVEL, Subject};
-use config::read_small;
+use certificate::{
+    AtSpeed, CLAIM, Certificate, Certified, Extent, LARGEST_LEVEL, SetAtSpeed, Start, Subject,
+};
+use config::{Parameters, PlantChange, RunConfig, read_small};
 use orchestrator::cli::CertifyArgs;
 use orchestrator::commands::{Certifiable, certifiable};
 use orchestrator::words::{Failure, print_line, print_table};
 use serde_json::json;
+
+use crate::tools::refuse_others;
 
 /// Certifies, or verifies a certificate; returns whether what was to be verified holds.
 pub(crate) fn certify(args: &CertifyArgs) -> Result<bool, Failure> {
     if let Some(file) = &args.check {
         return check(file, args.json);
     }
-    let Certifiable { config, sets, note } = certifiable(args)?;
+    let Certifiable { config, sets, plants, note } = certifiable(args)?;
     if let Some(file) = args.write.as_deref().filter(|file| file.exists()) {
         return Err(Failure::User(format!("--write {}: exists already", file.display())));
     }
@@ -30,14 +34,22 @@ pub(crate) fn certify(args: &CertifyArgs) -> Result<bool, Failure> {
         let work: Vec<_> = work.collect();
         work.into_iter().map(|it| it.join().expect("the certificate does not panic")).collect()
     });
+    let of_plants = plants
+        .iter()
+        .map(|plant| OnPlant::new(&config, plant, &sets, &speeds))
+        .collect::<Result<Vec<OnPlant>, String>>()
+        .map_err(Failure::User)?;
+    if let Some(folder) = &args.report {
+        draw(folder, &config, &note, &subject, &all)?;
+    }
     if args.json {
         let text = json!({
-            "note": note, "car": subject.car(), "condition": CLAIM, "fragile_below_s": config.over.fragile_below_s,
+            "plants": of_plants, "note": note, "car": subject.car(), "condition": CLAIM, "fragile_below_s": config.over.fragile_below_s,
             "no_certificate": subject.uncertain(), "speeds": all,
         });
         print_line(&serde_json::to_string_pretty(&text).map_err(anyhow::Error::from)?)?;
     } else {
-        print(&subject, &note, &all, config.over.fragile_below_s)?;
+        print(&subject, &note, &all, &of_plants, config.over.fragile_below_s)?;
     }
     if let Some(file) = &args.write {
         let regions: Vec<Certified> = all.into_iter().flat_map(|it| it.regions).collect();
@@ -51,7 +63,7 @@ pub(crate) fn certify(args: &CertifyArgs) -> Result<bool, Failure> {
 }
 
 /// The highest speed of the path's reference.
-fn own_speed(config: &config::RunConfig) -> f64 {
+fn own_speed(config: &RunConfig) -> f64 {
     config.path.speeds_mps.iter().copied().reduce(f64::max).unwrap_or(config.reference.speed_mps)
 }
 
@@ -59,13 +71,10 @@ fn print(
     subject: &Subject,
     note: &str,
     all: &[AtSpeed],
+    of_plants: &[OnPlant],
     fragile_below_s: f64,
 ) -> Result<(), Failure> {
     print_line(note)?;
-    let extent = |it: Option<Extent>, sign: &str| match it {
-        Some(it) => format!("{sign}{:.3} m, {sign}{:.3} rad", it.offset_m, it.heading_rad),
-        None => "–".to_owned(),
-    };
     let header = [
         "gains for",
         "m/s",
@@ -78,30 +87,23 @@ fn print(
     ];
     let rows = all.iter().flat_map(|at| {
         at.sets.iter().map(|it| {
-            let margin = match it.additional_dead_time_s {
-                Some(margin_s) => format!("{:.0}", 1000.0 * margin_s),
-                None if it.stable.is_none() => "–".to_owned(),
-                None => "no bound".to_owned(),
-            };
-            vec![
-                it.maneuver.clone(),
-                format!("{}", at.speed_mps),
-                match it.stable {
-                    Some(true) => "yes",
-                    Some(false) => "no",
-                    None => "–",
-                }
-                .to_owned(),
-                margin,
-                if it.fragile { "fragile" } else { "" }.to_owned(),
-                extent(it.certified, "± "),
-                extent(it.simulated, "± "),
-                at.steering_rate_share
-                    .map_or("–".to_owned(), |it| format!("{:.0} %", 100.0 * it)),
-            ]
+            let mut cells = cells(it, at.speed_mps);
+            let share = at.steering_rate_share;
+            cells.push(share.map_or("–".to_owned(), |it| format!("{:.0} %", 100.0 * it)));
+            cells
         })
     });
     print_table(&header, rows)?;
+    if !of_plants.is_empty() {
+        let header = [&["on plants like this car"], &header[..header.len() - 1]].concat();
+        let rows = of_plants.iter().flat_map(|plant| {
+            plant.speeds.iter().flat_map(|(speed_mps, sets)| {
+                let of = |it| [vec![plant.name.clone()], cells(it, *speed_mps)].concat();
+                sets.iter().map(of)
+            })
+        });
+        print_table(&header, rows)?;
+    }
     for at in all {
         for it in &at.sets {
             if let Some(why) = &it.no_certificate {
@@ -164,6 +166,118 @@ fn print(
         return Ok(());
     }
     print_line(&format!("what a certified region means: {CLAIM}"))
+}
+
+/// What is said of a set: for a row.
+fn cells(it: &SetAtSpeed, speed_mps: f64) -> Vec<String> {
+    let extent = |it: Option<Extent>| match it {
+        Some(it) => format!("± {:.3} m, ± {:.3} rad", it.offset_m, it.heading_rad),
+        None => "–".to_owned(),
+    };
+    let margin = match it.additional_dead_time_s {
+        Some(margin_s) => format!("{:.0}", 1000.0 * margin_s),
+        None if it.stable.is_none() => "–".to_owned(),
+        None => "no bound".to_owned(),
+    };
+    let stable = match it.stable {
+        Some(true) => "yes",
+        Some(false) => "no",
+        None => "–",
+    };
+    vec![
+        it.maneuver.clone(),
+        format!("{speed_mps}"),
+        stable.to_owned(),
+        margin,
+        if it.fragile { "fragile" } else { "" }.to_owned(),
+        extent(it.certified),
+        extent(it.simulated),
+    ]
+}
+
+/// What is said of the sets on a plant, by what drives it.
+#[derive(Debug, serde::Serialize)]
+struct OnPlant {
+    name: String,
+    /// Each speed, as the plant has it, with what is said of the sets.
+    speeds: Vec<(f64, Vec<SetAtSpeed>)>,
+}
+
+impl OnPlant {
+    fn new(
+        config: &RunConfig,
+        change: &PlantChange,
+        sets: &[Parameters],
+        speeds: &[f64],
+    ) -> Result<Self, String> {
+        let (driving, plant) = (config.driving_plant(change), config.with_plant(change));
+        let faster = driving.reference.speed_mps / config.reference.speed_mps;
+        let subject = Subject::on_plant(&driving, &plant, sets)?;
+        let at = |speed: &f64| (speed * faster, subject.sets_at(speed * faster));
+        Ok(Self { name: change.name.clone(), speeds: speeds.iter().map(at).collect() })
+    }
+}
+
+/// Speeds at which Δ is drawn.
+const DRAWN: u32 = 40;
+
+/// Draws the regions and Δ.
+fn draw(
+    folder: &Path,
+    config: &RunConfig,
+    note: &str,
+    subject: &Subject,
+    all: &[AtSpeed],
+) -> Result<(), Failure> {
+    refuse_others("--report", folder)?;
+    let region = |at: &AtSpeed, (set, starts): (&SetAtSpeed, Vec<Start>)| {
+        let is_it = |it: &&Certified| {
+            let of = &it.region.equilibrium;
+            it.maneuver == set.maneuver && of.curvature == 0.0 && of.reference_mps == at.speed_mps
+        };
+        let known = at.regions.iter().find(is_it).filter(|_| set.certified.is_some());
+        let cut = |it: &Certified| [0, 1].map(|row| [0, 1].map(|column| it.region.p[row][column]));
+        report::RegionPicture {
+            maneuver: set.maneuver.clone(),
+            speed_mps: at.speed_mps,
+            p: known.map(cut),
+            starts: starts.iter().map(|it| (it.offset_m, it.heading_rad, it.converges)).collect(),
+            no_certificate: set.no_certificate.clone(),
+        }
+    };
+    let regions = all.iter().flat_map(|at| {
+        let starts = subject.starts_at(at.speed_mps);
+        at.sets.iter().zip(starts).map(|of| region(at, of)).collect::<Vec<_>>()
+    });
+    let fastest_mps = all.iter().map(|at| at.speed_mps).fold(own_speed(config), f64::max);
+    let points: Vec<(f64, Vec<f64>)> = (1..=DRAWN)
+        .map(|step| 1.25 * fastest_mps * f64::from(step) / f64::from(DRAWN))
+        .map(|speed_mps| (speed_mps, subject.additional_dead_times_s(speed_mps)))
+        .collect();
+    let curve = |(index, set): (usize, &SetAtSpeed)| report::MarginCurve {
+        maneuver: set.maneuver.clone(),
+        points: points.iter().map(|(speed_mps, of)| (*speed_mps, of[index])).collect(),
+    };
+    let mut notes = vec![format!(
+        "Δ: how much later the steering may act until the loop oscillates; below {:.0} ms a set is fragile.",
+        1000.0 * config.over.fragile_below_s
+    )];
+    match subject.uncertain() {
+        Some(why) => notes.push(why),
+        None => notes.push(format!("What a certified region means: {CLAIM}")),
+    }
+    let page = report::CertifiedGains {
+        note: note.to_owned(),
+        vehicle: config.vehicle.name.clone(),
+        regions: regions.collect(),
+        margins: all[0].sets.iter().enumerate().map(curve).collect(),
+        fragile_below_s: config.over.fragile_below_s,
+        notes,
+    };
+    let page = report::write_certified(folder, &page)
+        .map_err(|why| Failure::User(format!("--report {why}")))?;
+    eprintln!("pathtune: wrote {}", page.display());
+    Ok(())
 }
 
 fn write(file: &Path, certificate: &Certificate) -> Result<(), Failure> {

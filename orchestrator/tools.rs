@@ -1,5 +1,8 @@
 //! Tools that are used alongside a pipeline: monitor, recorder, replay, report, certificate, identification.
 
+use std::ffi::OsStr;
+use std::path::Path;
+
 use crate::identify;
 use config::{Parameters, RunConfig};
 use monitor::MonitorError;
@@ -153,4 +156,22 @@ fn replay(args: &ReplayArgs, services: Services) -> Result<bool, Failure> {
         it.batch, it.tick, it.slot, it.topic, it.field, it.recorded, it.replayed
     ))
     .map(|()| false)
+}
+
+/// Refuses a folder for a page of ours that holds anything else: pictures of an older page are removed.
+pub(crate) fn refuse_others(option: &str, folder: &Path) -> Result<(), Failure> {
+    let is_ours = |name: &OsStr| {
+        let name = Path::new(name);
+        name == "index.html" || name.extension().is_some_and(|it| it == "svg" || it == "part")
+    };
+    let others = std::fs::read_dir(folder)
+        .map(|all| all.flatten().map(|entry| entry.file_name()).find(|name| !is_ours(name)));
+    match others {
+        Ok(Some(other)) => Err(Failure::User(format!(
+            "{option} {}: holds {} already; name a new folder",
+            folder.display(),
+            other.to_string_lossy()
+        ))),
+        _ => Ok(()),
+    }
 }

@@ -193,3 +193,40 @@ fn gains_change_only_where_the_ones_to_come_are_certain_to_hold_the_car() {
     assert!(stderr(&late).contains("dead time"), "{}", stderr(&late));
     sandbox.assert_clean();
 }
+
+#[test]
+fn plants_are_told_of_and_regions_and_margins_are_drawn() {
+    let sandbox = Sandbox::new();
+    let args = ["roundabout", "--gains", "3.4,21,1,0.84", "--speeds", "1.5,3.5"];
+    let over = ["--over", "default", "--report", "pictures"];
+    let said = json(&sandbox, &[&args[..], &over].concat());
+    let plants = said["plants"].as_array().unwrap();
+    assert_eq!(plants.len(), 9);
+    let margin = |plant: usize, at: usize| {
+        plants[plant]["speeds"][at][1][0]["additional_dead_time_s"].as_f64().unwrap()
+    };
+    // The file's vehicle is the first; 60 ms more of dead time leave 60 ms less for more.
+    assert_eq!(plants[0]["speeds"][0][1][0], said["speeds"][0]["sets"][0]);
+    for at in [0, 1] {
+        let less_s = margin(0, at) - margin(2, at);
+        assert!((less_s - 0.06).abs() < 1e-6, "{less_s}");
+    }
+    let late = &plants[1]["speeds"][0][1][0];
+    assert!(late["certified"].is_null() && late["simulated"]["offset_m"].is_number(), "{late}");
+    let faster = plants[8]["speeds"][0][0].as_f64().unwrap();
+    assert!((faster - 2.25).abs() < 1e-12, "{faster}");
+
+    let page = fs::read_to_string(sandbox.path("pictures/index.html")).unwrap();
+    assert!(page.contains("What a certified region means"), "{page}");
+    for name in ["region-roundabout-1-5", "region-roundabout-3-5", "additional-dead-time"] {
+        let svg = fs::read_to_string(sandbox.path(&format!("pictures/{name}.svg"))).unwrap();
+        assert!(svg.starts_with("<svg"), "{name}");
+        assert!(!name.starts_with("region") || svg.contains("certain to come back"), "{name}");
+    }
+    fs::write(sandbox.path("pictures/mine.txt"), "keep").unwrap();
+    let again = [&args[..], &["--report", "pictures"]].concat();
+    refused(&sandbox, &again, &["--report pictures", "mine.txt", "name a new folder"]);
+    refused(&sandbox, &["roundabout", "--over", "none.toml"], &["none.toml"]);
+    let output = sandbox.run(&["certify", "roundabout", "--over", "default"]);
+    assert!(stdout(&output).contains("on plants like this car"), "{}", stdout(&output));
+}

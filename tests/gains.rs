@@ -81,6 +81,12 @@ fn gains_are_promoted_listed_shown_and_driven() {
     assert!(promoted.status.success(), "{}", stderr(&promoted));
     let said = String::from_utf8_lossy(&promoted.stdout);
     assert!(said.contains("ms later") && said.contains("(Δ)"), "{said}");
+    for part in ["certain to come back to a straight path", "when simulated"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let margin = &result["plants"]["margin"];
+    assert!(margin["certified"]["offset_m"].as_f64() > Some(0.0), "{margin}");
+    assert!(margin["simulated"]["offset_m"].as_f64() > margin["certified"]["offset_m"].as_f64());
     let bounds = result["on_bound"].as_array().unwrap();
     assert_eq!(stderr(&promoted).contains("warning: on a bound"), !bounds.is_empty());
     let text = fs::read_to_string(sandbox.path("car.toml")).unwrap();

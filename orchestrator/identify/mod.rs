@@ -89,20 +89,7 @@ fn draw(
     it: &commands::Identified,
     found: &Identification,
 ) -> Result<(), Failure> {
-    let is_ours = |name: &std::ffi::OsStr| {
-        let name = Path::new(name);
-        name == "index.html" || name.extension().is_some_and(|it| it == "svg" || it == "part")
-    };
-    // Pictures of an older page are removed: a folder with anything else in it is not one of ours.
-    let others = std::fs::read_dir(folder)
-        .map(|all| all.flatten().map(|entry| entry.file_name()).find(|name| !is_ours(name)));
-    if let Ok(Some(other)) = others {
-        return Err(Failure::User(format!(
-            "--report {}: holds {} already; name a new folder",
-            folder.display(),
-            other.to_string_lossy()
-        )));
-    }
+    refuse_others("--report", folder)?;
     let drives: Vec<String> = it.drives.iter().map(|it| it.display().to_string()).collect();
     let car = report::IdentifiedCar {
         vehicle,

@@ -412,6 +412,7 @@ pub struct SetupArgs {
 #[command(after_help = "Examples:
   pathtune certify circuit --gains 3,21,21,0.7/3.4,21,1,0.84 --speeds 1.45,4
   pathtune certify runs/mine --vehicle my_car.toml
+  pathtune certify lane_change --over default --report pictures
   pathtune certify lane_change --write lane_change.json
   pathtune certify --check lane_change.json")]
 pub struct CertifyArgs {
@@ -445,9 +446,16 @@ pub struct CertifyArgs {
     /// Set one key, overriding everything else; repeatable
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Say the same of plants, too, which are vehicles that the car may really be: `default` for eight around the vehicle's
+    /// file and a faster drive, or a TOML file of `plants`, as for `train`
+    #[arg(long, value_name = "default|FILE")]
+    pub over: Option<String>,
     /// Print all figures as JSON
     #[arg(long)]
     pub json: bool,
+    /// Draw the regions with simulated starts, and Δ over the speed, as a page with SVG pictures in this folder
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
     /// Write the certified regions into a new file, which --check verifies
     #[arg(long, value_name = "FILE")]
     pub write: Option<PathBuf>,
@@ -455,7 +463,9 @@ pub struct CertifyArgs {
     #[arg(
         long,
         value_name = "FILE",
-        conflicts_with_all = ["what", "gains", "from", "speeds", "path", "vehicle", "law", "set", "write"]
+        conflicts_with_all = [
+            "what", "gains", "from", "speeds", "path", "vehicle", "law", "set", "write", "over", "report",
+        ]
     )]
     pub check: Option<PathBuf>,
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use config::{Layers, Parameters, RunConfig};
+use config::{Layers, OverBy, Parameters, PlantChange, RunConfig};
 
 use crate::cli::CertifyArgs;
 use crate::commands::drive::{choose, describe, tuned_parameters};
@@ -18,6 +18,8 @@ pub struct Certifiable {
     pub config: RunConfig,
     /// One set, or one for each manoeuvre that is due.
     pub sets: Vec<Parameters>,
+    /// The plants of which it is to be said, too.
+    pub plants: Vec<PlantChange>,
     /// Which gains these are, and where they come from.
     pub note: String,
 }
@@ -29,9 +31,13 @@ pub struct Certifiable {
 pub fn certifiable(args: &CertifyArgs) -> Result<Certifiable, Failure> {
     let name = args.what.as_deref();
     let run = name.map(Path::new).filter(|path| path.join("config.toml").is_file());
-    let config = match run {
+    let mut config = match run {
         Some(run) => of_run(args, run)?,
         None => of_manoeuvre(args, name)?,
+    };
+    let plants = match &args.over {
+        None => Vec::new(),
+        Some(over) => plants(over, &mut config)?,
     };
     let (sets, origin) = match run {
         Some(run) if args.gains.is_none() => {
@@ -40,7 +46,21 @@ pub fn certifiable(args: &CertifyArgs) -> Result<Certifiable, Failure> {
         _ => choose(args.gains.as_ref(), &args.from, &config)?,
     };
     let note = describe(&config, &sets, &origin);
-    Ok(Certifiable { config, sets, note })
+    Ok(Certifiable { config, sets, plants, note })
+}
+
+/// The plants of `--over`.
+fn plants(over: &str, config: &mut RunConfig) -> Result<Vec<PlantChange>, Failure> {
+    // Judged over plants, the default ones have a faster drive among them.
+    config.over.by = OverBy::Mean;
+    if over == "default" {
+        config.over.plants = Vec::new();
+    } else {
+        let mut layers = Layers::maneuver("lane_change")?;
+        layers.add_plants(Path::new(over))?;
+        config.over.plants = layers.resolve()?.over.plants;
+    }
+    Ok(config.plant_changes())
 }
 
 /// The configuration of a run, with another vehicle if one is named.

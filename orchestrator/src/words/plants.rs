@@ -1,7 +1,7 @@
 //! What a set does on plausible plants.
 
 use config::{NamedParameters, RunConfig};
-use outcome::{Margin, PlantCheck, PlantDrive};
+use outcome::{Extent, Margin, PlantCheck, PlantDrive};
 
 use crate::words::Failure;
 use crate::words::tables::{digits, or_dash, table_of, trim};
@@ -74,10 +74,28 @@ pub(super) fn named(set: &NamedParameters) -> String {
     pairs.join(", ")
 }
 
-/// How much later the steering may act, or why that is not known.
+/// From where beside a straight path the loop converges.
+fn regions(it: &Margin) -> String {
+    let extent =
+        |it: &Extent| format!("± {:.3} m and ± {:.3} rad", it.offset_m, it.heading_rad);
+    let mut words = String::new();
+    if let Some(certified) = &it.certified {
+        words += &format!("; it is certain to come back to a straight path from {}", extent(certified));
+    }
+    if let Some(simulated) = &it.simulated {
+        let begins = if it.certified.is_some() { ", and" } else { "; it" };
+        words += &format!("{begins} does so from {} when simulated", extent(simulated));
+    }
+    match (&it.certified, &it.no_certificate) {
+        (None, Some(why)) => words + "; " + why,
+        _ => words,
+    }
+}
+
+/// How much later the steering may act and from where the loop converges, or why that is not known.
 pub(crate) fn margin(it: &Margin) -> String {
     let Margin { speed_mps, additional_dead_time_s, unknown, .. } = it;
-    match (additional_dead_time_s, unknown) {
+    let late = match (additional_dead_time_s, unknown) {
         (_, Some(why)) => why.clone(),
         (Some(margin_s), None) => format!(
             "the steering may act {:.0} ms later at {speed_mps:.2} m/s until the loop oscillates (Δ)",
@@ -88,7 +106,8 @@ pub(crate) fn margin(it: &Margin) -> String {
                 "however late the steering acts at {speed_mps:.2} m/s, the loop does not oscillate (Δ)"
             )
         }
-    }
+    };
+    late + &regions(it)
 }
 
 /// Whether the set is fragile, and why.

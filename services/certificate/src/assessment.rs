@@ -4,8 +4,9 @@ use config::{Advance, NamedParameters, Parameters, RunConfig, VehicleModel};
 use serde::{Deserialize, Serialize};
 use tracking::Path;
 
-use crate::margin::is_exact;
+use crate::margin::{additional_dead_time_on, is_exact};
 use crate::region::start;
+use crate::simulated::Start;
 use crate::simulated_law::SimulatedLaw;
 use crate::{
     Car, Equilibrium, Gains, Intervals, Joint, LateralLoop, LawLoop, Piece, Region, Simulated,
@@ -29,6 +30,8 @@ pub const CLAIM: &str = "V ≤ 1 is never left, and V falls at every tick, on on
 #[derive(Debug, Clone)]
 pub struct Subject<'a> {
     config: &'a RunConfig,
+    /// The configuration of the vehicle that is really there, of which the law knows nothing.
+    plant: &'a RunConfig,
     car: Car,
     /// For each manoeuvre that is due, its name and gains.
     sets: Vec<(String, Parameters)>,
@@ -130,6 +133,18 @@ impl<'a> Subject<'a> {
     /// # Errors
     /// If nothing can be said of the law or of the gains: why.
     pub fn new(config: &'a RunConfig, sets: &[Parameters]) -> Result<Self, String> {
+        Self::on_plant(config, config, sets)
+    }
+
+    /// The same with the vehicle of another configuration, of which what drives it knows nothing.
+    ///
+    /// # Errors
+    /// As of [`Subject::new`].
+    pub fn on_plant(
+        config: &'a RunConfig,
+        plant: &'a RunConfig,
+        sets: &[Parameters],
+    ) -> Result<Self, String> {
         let due = config.maneuvers_due();
         let is_exact = is_exact(config);
         if let Some(still) = sets.iter().map(Gains::new).find(|it| is_exact && it.kv <= 0.0) {
@@ -143,7 +158,7 @@ impl<'a> Subject<'a> {
         let zones = &config.path.zones;
         let zones = zones.iter().map(|it| it.from_m).zip(by_zone.iter().map(Gains::new)).collect();
         let mut subject =
-            Self { config, car: Car::new(config), sets, zones, pieces: pieces(config) };
+            Self { config, plant, car: Car::new(plant), sets, zones, pieces: pieces(config) };
         if let [(_, one)] = subject.sets[..] {
             subject.zones = vec![(0.0, Gains::new(&one))];
         }
@@ -157,7 +172,7 @@ impl<'a> Subject<'a> {
 
     /// Why no region can be certified for this car, if so.
     pub fn uncertain(&self) -> Option<String> {
-        let vehicle = &self.config.vehicle;
+        let vehicle = &self.plant.vehicle;
         let says = |what: &str| Some(format!("no certificate: {what}"));
         let law = &self.config.law.name;
         if law != "paper" {
@@ -212,6 +227,43 @@ impl<'a> Subject<'a> {
     fn gains_at(&self, along_m: f64) -> Gains {
         let behind = self.zones.iter().rev().find(|(from_m, _)| *from_m <= along_m);
         behind.unwrap_or(&self.zones[0]).1
+    }
+
+    /// What is said of its sets at a speed, on a straight.
+    pub fn sets_at(&self, speed_mps: f64) -> Vec<SetAtSpeed> {
+        let mut regions = Vec::new();
+        let of = |(maneuver, set): &(String, Parameters)| {
+            self.set_at(maneuver, set, speed_mps, &mut regions)
+        };
+        self.sets.iter().map(of).collect()
+    }
+
+    /// The additional dead time Δ of each set at a speed: 0 where the loop is unstable, infinite where there is no bound, NaN
+    /// where nothing is known.
+    pub fn additional_dead_times_s(&self, speed_mps: f64) -> Vec<f64> {
+        let of = |(_, set): &(String, Parameters)| {
+            additional_dead_time_on(self.config, self.plant, set, speed_mps).unwrap_or(f64::NAN)
+        };
+        self.sets.iter().map(of).collect()
+    }
+
+    /// Random starts on a straight at a speed, for each set, and whether the loop converges from them when it is simulated:
+    /// in a rectangle twice as large as the simulated region, and no larger than is tried. None of a set that is unstable.
+    pub fn starts_at(&self, speed_mps: f64) -> Vec<Vec<Start>> {
+        let of = |((_, set), known): (&(String, Parameters), SetAtSpeed)| {
+            let (Some(true), Some(lead_m)) = (known.stable, known.lead_m) else {
+                return Vec::new();
+            };
+            let full = self.extent(1.0).offset_m;
+            let size = known.simulated.map_or(0.1, |it| 2.0 * it.offset_m / full).min(2.0);
+            if is_exact(self.config) {
+                let at = Equilibrium::straight(speed_mps, lead_m);
+                Simulated::new(&self.car, &Gains::new(set), &at).starts(size, SEED)
+            } else {
+                SimulatedLaw::new(self.config, self.plant, set, speed_mps, lead_m).starts(size, SEED)
+            }
+        };
+        self.sets.iter().zip(self.sets_at(speed_mps)).map(of).collect()
     }
 
     /// All that is said of it at a speed.
@@ -291,12 +343,12 @@ impl<'a> Subject<'a> {
 
     /// What the law as it drives says of a set, where its loop is not written down.
     fn driven_at(&self, maneuver: &str, set: &Parameters, speed_mps: f64) -> SetAtSpeed {
-        let known = LawLoop::new(self.config, set, speed_mps);
+        let known = LawLoop::on_plant(self.config, self.plant, set, speed_mps);
         let stable = known.as_ref().ok().map(LawLoop::is_stable);
         let margin_s = known.as_ref().ok().map(LawLoop::additional_dead_time_s);
         let lead_m = known.as_ref().ok().map(LawLoop::lead_m);
         let simulated = lead_m.filter(|_| stable == Some(true)).and_then(|lead_m| {
-            let simulation = SimulatedLaw::new(self.config, set, speed_mps, lead_m);
+            let simulation = SimulatedLaw::new(self.config, self.plant, set, speed_mps, lead_m);
             simulation.extent(SEED).map(|it| self.extent(it))
         });
         let no_certificate = match (known, stable) {

@@ -42,6 +42,19 @@ impl LawLoop {
     /// # Errors
     /// If the law has no steady state, or does not forget: why.
     pub fn new(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Result<Self, String> {
+        Self::on_plant(config, config, set, speed_mps)
+    }
+
+    /// The same with the vehicle of another configuration, of which the law knows nothing.
+    ///
+    /// # Errors
+    /// As of [`LawLoop::new`].
+    pub fn on_plant(
+        config: &RunConfig,
+        plant: &RunConfig,
+        set: &Parameters,
+        speed_mps: f64,
+    ) -> Result<Self, String> {
         let probe = Probe::new(config, set, speed_mps);
         let lead_m = match config.reference.advance {
             Advance::Time => probe.steady_lead_m()?,
@@ -53,7 +66,7 @@ impl LawLoop {
             probe.answer(lead_m, |seen, by| seen.measured.yaw_rad += by)?,
             probe.answer(lead_m, |seen, by| seen.yaw_rate_radps += by)?,
         ];
-        let car = Car::new(config);
+        let car = Car::new(plant);
         let wheels = Wheels::new(&car, speed_mps);
         Ok(Self { tick_s: car.tick_s, lead_m, wheels, answers })
     }

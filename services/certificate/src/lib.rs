@@ -42,6 +42,6 @@ pub use law::LawLoop;
 pub use margin::additional_dead_time_s;
 pub use region::{Region, START};
 pub use segment::Equilibrium;
-pub use simulated::{LARGEST_LEVEL, STARTS, Simulated};
+pub use simulated::{LARGEST_LEVEL, STARTS, Simulated, Start};
 pub use switches::zone_regions;
 pub use vertices::{HEADING_RAD, Intervals, State};

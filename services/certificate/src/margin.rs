@@ -14,13 +14,23 @@ pub fn additional_dead_time_s(
     set: &Parameters,
     speed_mps: f64,
 ) -> Result<f64, String> {
+    additional_dead_time_on(config, config, set, speed_mps)
+}
+
+/// The same with the vehicle of another configuration, of which the law knows nothing.
+pub(crate) fn additional_dead_time_on(
+    config: &RunConfig,
+    plant: &RunConfig,
+    set: &Parameters,
+    speed_mps: f64,
+) -> Result<f64, String> {
     if speed_mps <= 0.0 {
         return Err("no Δ: the car does not drive".to_owned());
     }
     if !is_exact(config) {
-        return Ok(LawLoop::new(config, set, speed_mps)?.additional_dead_time_s());
+        return Ok(LawLoop::on_plant(config, plant, set, speed_mps)?.additional_dead_time_s());
     }
-    let (car, gains) = (Car::new(config), Gains::new(set));
+    let (car, gains) = (Car::new(plant), Gains::new(set));
     if gains.kv <= 0.0 {
         return Err(format!("no Δ: with kv = {} the car does not drive", gains.kv));
     }

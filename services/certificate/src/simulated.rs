@@ -84,6 +84,11 @@ impl Simulated {
         best
     }
 
+    /// Random starts in a rectangle of this multiple of [`START`](crate::START), and which of them converge.
+    pub(crate) fn starts(&self, size: f64, seed: u64) -> Vec<Start> {
+        starts(&self.car, size, seed, |[y, heading]| self.converges(&[y, heading, 0.0, 0.0]))
+    }
+
     /// The value of V up to which all starts converge, with random filter and wheels: on the boundary of larger and
     /// larger ellipsoids, up to the first that fails, or to
     /// [`LARGEST_LEVEL`].
@@ -172,6 +177,34 @@ impl Simulated {
         }
         false
     }
+}
+
+/// A start of a simulation, and what came of it.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Start {
+    /// Offset from where the loop settles.
+    pub offset_m: f64,
+    /// Heading from where it settles.
+    pub heading_rad: f64,
+    /// Whether the loop settled there.
+    pub converges: bool,
+}
+
+/// Random starts, each as likely, in a rectangle of a multiple of [`START`](crate::START).
+pub(crate) fn starts(
+    car: &Car,
+    size: f64,
+    seed: u64,
+    converges: impl Fn([f64; 2]) -> bool,
+) -> Vec<Start> {
+    let [y, heading] = start(car);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut within = |most: f64| size * most * rng.random_range(-1.0..=1.0);
+    let one = |_| {
+        let [offset_m, heading_rad] = [within(y), within(heading)];
+        Start { offset_m, heading_rad, converges: converges([offset_m, heading_rad]) }
+    };
+    (0..STARTS).map(one).collect()
 }
 
 /// An angle within ± π.

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::Car;
 use crate::law::Probe;
 use crate::region::start;
-use crate::simulated::STARTS;
+use crate::simulated::{STARTS, Start, starts};
 
 /// The sizes that are tried: from a fiftieth of the start to twice of it, in steps of this ratio.
 const GROWTH: f64 = 1.25;
@@ -27,10 +27,16 @@ pub(crate) struct SimulatedLaw {
 
 impl SimulatedLaw {
     /// The loop of a configuration's law at a speed, with the lead that its reference has there.
-    pub(crate) fn new(config: &RunConfig, set: &Parameters, speed_mps: f64, lead_m: f64) -> Self {
+    pub(crate) fn new(
+        config: &RunConfig,
+        plant: &RunConfig,
+        set: &Parameters,
+        speed_mps: f64,
+        lead_m: f64,
+    ) -> Self {
         let probe = Probe::new(config, set, speed_mps);
         let settled = probe.settled(lead_m).0;
-        Self { car: Car::new(config), probe, lead_m, settled }
+        Self { car: Car::new(plant), probe, lead_m, settled }
     }
 
     /// The multiple of [`START`](crate::START) from whose edge all starts converge: the largest that is found by halving
@@ -65,6 +71,11 @@ impl SimulatedLaw {
             if all(middle) { low = middle } else { high = middle }
         }
         Some(size(low))
+    }
+
+    /// Random starts in a rectangle of this multiple of [`START`](crate::START), and which of them converge.
+    pub(crate) fn starts(&self, size: f64, seed: u64) -> Vec<Start> {
+        starts(&self.car, size, seed, |[y, heading]| self.converges(y, heading))
     }
 
     /// Whether the loop comes back from an offset and a heading, with the steering straight.

@@ -34,7 +34,7 @@ pub use drive::{Fastest, InEnvelope, QualityAt, RefusedSwitch, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
 pub use laps::Lap;
-pub use plants::{Alternative, FreshPlants, Margin, PlantCheck, PlantDrive};
+pub use plants::{Alternative, Extent, FreshPlants, Margin, PlantCheck, PlantDrive};
 pub use recording::{RecordingFacts, TopicCounts};
 pub use run::{DeathToTick, Drives, ProcessFacts, Recovery, Run, RunDrives};
 pub use simulated::{FreshDrives, OfDrives, SimulatedFirst, TextbookDriven};

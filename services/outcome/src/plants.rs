@@ -49,6 +49,26 @@ pub struct Margin {
     pub fragile_below_s: f64,
     /// Why nothing is known of it; null if something is.
     pub unknown: Option<String>,
+    /// From where on a straight path, at that speed, the loop is certain to converge; null if there is no certificate, and in
+    /// results of earlier versions.
+    #[serde(default)]
+    pub certified: Option<Extent>,
+    /// Why there is none.
+    #[serde(default)]
+    pub no_certificate: Option<String>,
+    /// From where it converges when it is simulated (300 of 300 starts); null if the loop is unstable, and in results of
+    /// earlier versions.
+    #[serde(default)]
+    pub simulated: Option<Extent>,
+}
+
+/// An extent of states beside a path: offset and heading, both ways.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Extent {
+    /// Offset from the path.
+    pub offset_m: f64,
+    /// Heading against the path.
+    pub heading_rad: f64,
 }
 
 impl Margin {

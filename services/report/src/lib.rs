@@ -9,6 +9,7 @@
 mod axis;
 mod baselines;
 mod canvas;
+mod certified;
 mod chart;
 mod compared;
 mod decimate;
@@ -39,6 +40,7 @@ use config::RunConfig;
 use outcome::{Compared, Outcome, RunResult, StudyComparison};
 
 use canvas::Picture;
+pub use certified::{CertifiedGains, MarginCurve, RegionPicture};
 pub use error::ReportError;
 pub use identified::IdentifiedCar;
 use page::Page;
@@ -77,6 +79,15 @@ pub fn write_report(run: &Path) -> Result<PathBuf, ReportError> {
 /// If they cannot be written.
 pub fn write_identified(folder: &Path, car: IdentifiedCar<'_>) -> Result<PathBuf, ReportError> {
     let (html, pictures) = identified::page_of(car)?;
+    write_pages(folder, &html, &pictures)
+}
+
+/// Writes the page of certified gains and its pictures into this folder, and returns the path of the page.
+///
+/// # Errors
+/// If they cannot be written.
+pub fn write_certified(folder: &Path, gains: &CertifiedGains) -> Result<PathBuf, ReportError> {
+    let (html, pictures) = certified::page_of(gains)?;
     write_pages(folder, &html, &pictures)
 }
 

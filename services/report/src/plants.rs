@@ -2,7 +2,7 @@
 
 use config::RunConfig;
 use maud::{Markup, html};
-use outcome::{Margin, PlantCheck};
+use outcome::{Extent, Margin, PlantCheck};
 
 use crate::axis::number;
 use crate::page::{parameters_text, table};
@@ -62,9 +62,9 @@ pub(crate) fn section(it: &PlantCheck, config: &RunConfig) -> Markup {
     }
 }
 
-/// How much later the steering may act, or why that is not known.
+/// How much later the steering may act, or why that is not known, and from where the loop converges.
 fn late(it: &Margin) -> String {
-    match (it.additional_dead_time_s, &it.unknown) {
+    let late = match (it.additional_dead_time_s, &it.unknown) {
         (_, Some(why)) => format!("Additional dead time: {why}."),
         (Some(margin_s), None) => format!(
             "Additional dead time Δ at {:.2} m/s, the highest speed that the drive holds for a second: {:.0} ms; below {:.0} ms a set is fragile.",
@@ -75,5 +75,20 @@ fn late(it: &Margin) -> String {
         (None, None) => {
             format!("Additional dead time Δ at {:.2} m/s: without bound.", it.speed_mps)
         }
-    }
+    };
+    let extent = |it: Extent| format!("± {:.3} m and ± {:.3} rad", it.offset_m, it.heading_rad);
+    let certified = match (it.certified, &it.no_certificate) {
+        (Some(it), _) => format!(" From {} beside a straight path it is certain to come back.", extent(it)),
+        (None, Some(why)) => format!(" {}.", capitalised(why)),
+        (None, None) => String::new(),
+    };
+    let simulated = it.simulated.map_or(String::new(), |it| {
+        format!(" Simulated, it comes back from {}.", extent(it))
+    });
+    late + &certified + &simulated
+}
+
+fn capitalised(words: &str) -> String {
+    let mut letters = words.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
 }

@@ -1,7 +1,7 @@
 //! What a set does on plants: whether it is fragile, and how far from the path it is on fresh ones.
 
 use config::{OverBy, Parameters, PlantChange, RunConfig};
-use outcome::{Alternative, FreshPlants, Margin, PlantCheck, PlantDrive};
+use outcome::{Alternative, Extent, FreshPlants, Margin, PlantCheck, PlantDrive};
 use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
@@ -119,10 +119,20 @@ fn held_speed_mps(speeds: &[f64], tick_s: f64, held_s: f64) -> f64 {
     highest
 }
 
-/// How much later the steering may act at a speed, with the vehicle as its file has it.
+/// How much later the steering may act at a speed, and from where the loop converges, with the vehicle as its file has it.
 pub fn margin(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Margin {
     let known = certificate::additional_dead_time_s(config, set, speed_mps);
+    let regions = known.as_ref().ok().and_then(|_| {
+        let subject = certificate::Subject::new(config, &[*set]).ok()?;
+        subject.sets_at(speed_mps).pop()
+    });
+    let (certified, simulated, no_certificate) =
+        regions.map_or((None, None, None), |it| (it.certified, it.simulated, it.no_certificate));
+    let extent = |it: certificate::Extent| Extent { offset_m: it.offset_m, heading_rad: it.heading_rad };
     Margin {
+        certified: certified.map(extent),
+        simulated: simulated.map(extent),
+        no_certificate,
         speed_mps,
         additional_dead_time_s: known.as_ref().ok().copied().filter(|it| it.is_finite()),
         fragile_below_s: config.over.fragile_below_s,
