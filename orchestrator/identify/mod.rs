@@ -14,6 +14,8 @@ use orchestrator::commands;
 use orchestrator::words::Failure;
 use serde_json::json;
 
+use crate::tools::refuse_others;
+
 /// The most samples that are kept: those of some hours.
 pub(crate) const MOST_SAMPLES: usize = 4_000_000;
 

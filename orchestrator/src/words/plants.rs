@@ -76,11 +76,11 @@ pub(super) fn named(set: &NamedParameters) -> String {
 
 /// From where beside a straight path the loop converges.
 fn regions(it: &Margin) -> String {
-    let extent =
-        |it: &Extent| format!("± {:.3} m and ± {:.3} rad", it.offset_m, it.heading_rad);
+    let extent = |it: &Extent| format!("± {:.3} m and ± {:.3} rad", it.offset_m, it.heading_rad);
     let mut words = String::new();
     if let Some(certified) = &it.certified {
-        words += &format!("; it is certain to come back to a straight path from {}", extent(certified));
+        words +=
+            &format!("; it is certain to come back to a straight path from {}", extent(certified));
     }
     if let Some(simulated) = &it.simulated {
         let begins = if it.certified.is_some() { ", and" } else { "; it" };

@@ -260,7 +260,8 @@ impl<'a> Subject<'a> {
                 let at = Equilibrium::straight(speed_mps, lead_m);
                 Simulated::new(&self.car, &Gains::new(set), &at).starts(size, SEED)
             } else {
-                SimulatedLaw::new(self.config, self.plant, set, speed_mps, lead_m).starts(size, SEED)
+                SimulatedLaw::new(self.config, self.plant, set, speed_mps, lead_m)
+                    .starts(size, SEED)
             }
         };
         self.sets.iter().zip(self.sets_at(speed_mps)).map(of).collect()

@@ -77,7 +77,10 @@ pub(crate) fn page_of(it: &CertifiedGains) -> Result<(String, Vec<Picture>), Rep
         }
     }
     if !figures.is_empty() {
-        page.section("From where it comes back", html! { div.figures { @for it in &figures { (it) } } });
+        page.section(
+            "From where it comes back",
+            html! { div.figures { @for it in &figures { (it) } } },
+        );
     }
     let caption = "Additional dead time Δ: how much later than the vehicle’s file says the steering may act until the loop \
                    oscillates. Nothing is drawn where it has no bound.";
@@ -104,7 +107,11 @@ fn region_of(it: &RegionPicture) -> Result<Picture, ReportError> {
         let of = it.starts.iter().filter(|it| it.2 == converges);
         of.map(|(offset_m, heading_rad, _)| (*offset_m, *heading_rad)).collect()
     };
-    let marks = |colour, marker| Stroke { marker: Some(marker), hidden: true, ..Stroke::solid(colour, 1.0) };
+    let marks = |colour, marker| Stroke {
+        marker: Some(marker),
+        hidden: true,
+        ..Stroke::solid(colour, 1.0)
+    };
     let mut lines = Vec::new();
     if let Some(p) = &it.p {
         lines.push(Line::new("certain to come back", ellipse(p), Stroke::solid(NAVY, 2.0)));
@@ -191,7 +198,12 @@ mod tests {
             note: "gains 3 21 21 0.7".to_owned(),
             vehicle: "mine".to_owned(),
             regions: vec![
-                RegionPicture { p: None, no_certificate: Some("no certificate: late".into()), speed_mps: 3.0, ..region.clone() },
+                RegionPicture {
+                    p: None,
+                    no_certificate: Some("no certificate: late".into()),
+                    speed_mps: 3.0,
+                    ..region.clone()
+                },
                 region,
             ],
             margins: vec![MarginCurve { maneuver: "lane_change".to_owned(), points }],
@@ -206,7 +218,11 @@ mod tests {
         }
         for picture in &pictures {
             roxmltree::Document::parse(&picture.svg).unwrap();
-            assert!(!picture.svg.contains("NaN") && !picture.svg.contains("inf"), "{}", picture.name);
+            assert!(
+                !picture.svg.contains("NaN") && !picture.svg.contains("inf"),
+                "{}",
+                picture.name
+            );
         }
         assert!(pictures[1].svg.contains("certain to come back"));
     }

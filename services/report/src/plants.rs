@@ -78,13 +78,15 @@ fn late(it: &Margin) -> String {
     };
     let extent = |it: Extent| format!("± {:.3} m and ± {:.3} rad", it.offset_m, it.heading_rad);
     let certified = match (it.certified, &it.no_certificate) {
-        (Some(it), _) => format!(" From {} beside a straight path it is certain to come back.", extent(it)),
+        (Some(it), _) => {
+            format!(" From {} beside a straight path it is certain to come back.", extent(it))
+        }
         (None, Some(why)) => format!(" {}.", capitalised(why)),
         (None, None) => String::new(),
     };
-    let simulated = it.simulated.map_or(String::new(), |it| {
-        format!(" Simulated, it comes back from {}.", extent(it))
-    });
+    let simulated = it
+        .simulated
+        .map_or(String::new(), |it| format!(" Simulated, it comes back from {}.", extent(it)));
     late + &certified + &simulated
 }
 

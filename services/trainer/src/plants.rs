@@ -128,7 +128,8 @@ pub fn margin(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Margin {
     });
     let (certified, simulated, no_certificate) =
         regions.map_or((None, None, None), |it| (it.certified, it.simulated, it.no_certificate));
-    let extent = |it: certificate::Extent| Extent { offset_m: it.offset_m, heading_rad: it.heading_rad };
+    let extent =
+        |it: certificate::Extent| Extent { offset_m: it.offset_m, heading_rad: it.heading_rad };
     Margin {
         certified: certified.map(extent),
         simulated: simulated.map(extent),
