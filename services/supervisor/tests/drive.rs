@@ -450,3 +450,25 @@ fn where_an_envelope_stops_the_paper_s_vehicle_its_response_is_watched_too() {
     paper.envelope_only_judges = true;
     assert!(!paper.watches_response());
 }
+
+#[test]
+fn while_a_vehicle_is_braked_the_reference_comes_to_rest_with_it() {
+    let mut watch = Watch::new(&config(&[]));
+    let mut rates = Vec::new();
+    for tick in 0..100u64 {
+        let pose = pose(1.0 + 0.03 * tick as f64, 0.0, 0.0);
+        watch.see(tick, Movement { pose, speed_mps: 3.0, yaw_rate_radps: 0.0 }, true);
+        if tick == 20 {
+            watch.stop(Safety::OUT_BY_YAW);
+        }
+        let raw = RawCommand { speed_mps: 3.0, yaw_rate_radps: 0.0, steering_rad: 0.0 };
+        watch.command(TICK_S, 0, Some(raw));
+        // A reference that waits for its vehicle runs slower already.
+        rates.push(watch.clock_rate(0.5));
+    }
+    assert!(rates[..20].iter().all(|rate| *rate == 0.5), "{rates:?}");
+    // 5 m/s² from 3 m/s: 0.6 s.
+    assert!((rates[49] - 0.25).abs() < 1e-9, "{}", rates[49]);
+    assert!(rates[20..].is_sorted_by(|a, b| a >= b), "{rates:?}");
+    assert!(rates[81..].iter().all(|rate| *rate == 0.0), "{rates:?}");
+}

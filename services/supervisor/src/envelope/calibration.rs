@@ -188,3 +188,52 @@ fn by_time(drives: &[DriveTrace], channel: usize) -> (Vec<f64>, Vec<f64>) {
     }
     (means, sds)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A drive whose lateral residual over 1 s reaches this, and whose quality is that.
+    fn trace(lateral_m: f64, quality: f64) -> DriveTrace {
+        let mut trace = DriveTrace::default();
+        for (age, side) in [1.0, -1.0, 0.0].into_iter().cycle().take(30).enumerate() {
+            let mut values = [0.0; ENVELOPE_CHANNELS];
+            (values[0], values[5]) = (quality, side * lateral_m);
+            trace.add(&Look { age: Some(age), values });
+        }
+        trace
+    }
+
+    #[test]
+    fn the_threshold_is_that_of_drives_that_made_no_scale() {
+        let scaling: Vec<DriveTrace> = (0..20).map(|it| trace(1.0 + 0.01 * f64::from(it), 0.9)).collect();
+        let others: Vec<DriveTrace> = (0..10).map(|it| trace(2.0 + 0.1 * f64::from(it), 0.9)).collect();
+        let found = Calibration::new(&scaling, &others).unwrap();
+        let own: Vec<f64> = others.iter().map(|it| it.score(&found.channels)).collect();
+        assert_eq!(found.scores, own);
+        assert_eq!((found.threshold, found.guarantee.above), (own[9], 0));
+        // Twice as far as those of the scales.
+        assert!(found.threshold > 2.0, "{}", found.threshold);
+        let of_the_scales: Vec<f64> = scaling.iter().map(|it| it.score(&found.channels)).collect();
+        assert!(of_the_scales.iter().all(|it| *it <= 1.0), "{of_the_scales:?}");
+    }
+
+    #[test]
+    fn too_few_drives_and_channels_that_they_do_not_show_are_no_alarm() {
+        let one = [trace(1.0, 0.9)];
+        assert_eq!(Calibration::new(&one, &one), None);
+        assert_eq!(Calibration::new(&[one.clone(), one.clone()].concat(), &[]), None);
+        // Drives that were too short for the window of 10 s say nothing of it.
+        let short = || {
+            let mut trace = DriveTrace::default();
+            let mut values = [0.0; ENVELOPE_CHANNELS];
+            values[7] = f64::NAN;
+            trace.add(&Look { age: Some(0), values });
+            trace
+        };
+        let found = Calibration::new(&[short(), short(), short()], &[short()]).unwrap();
+        assert_eq!(found.channels[7].limit, NEVER);
+        assert_eq!(found.channels[8].limit, LEAST_LIMIT);
+        assert!(found.threshold > 0.0);
+    }
+}
