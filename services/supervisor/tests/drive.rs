@@ -393,13 +393,13 @@ fn a_yaw_rate_that_is_computed_from_the_command_is_told() {
     assert_eq!(drive(false, 0.3), (State::Normal, 0));
 }
 
-/// What is done, and since when known to be wrong, 0.4 s after the wheels began to follow only this share of their command;
+/// What is done, and for what, 0.3 s after the wheels began to follow only this share of their command;
 /// `stopped` for leaving the envelope by its yaw or not at all.
 fn done_about(share: f64, stopped: bool) -> (Option<Action>, u32) {
     let mut watch = Watch::new(&config(&["vehicle.wheelbase_m=2.875"]));
     let mut wheels_rad: f64 = 0.0;
     let mut told_rad = 0.0;
-    for tick in 0..140u64 {
+    for tick in 0..132u64 {
         let follows = if tick < 100 { 1.0 } else { share };
         wheels_rad += (follows * told_rad - wheels_rad).clamp(-0.006, 0.006);
         let yaw_rate_radps = 3.0 * libm::tan(wheels_rad) / 2.875;

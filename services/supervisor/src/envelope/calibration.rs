@@ -206,8 +206,10 @@ mod tests {
 
     #[test]
     fn the_threshold_is_that_of_drives_that_made_no_scale() {
-        let scaling: Vec<DriveTrace> = (0..20).map(|it| trace(1.0 + 0.01 * f64::from(it), 0.9)).collect();
-        let others: Vec<DriveTrace> = (0..10).map(|it| trace(2.0 + 0.1 * f64::from(it), 0.9)).collect();
+        let scaling: Vec<DriveTrace> =
+            (0..20).map(|it| trace(1.0 + 0.01 * f64::from(it), 0.9)).collect();
+        let others: Vec<DriveTrace> =
+            (0..10).map(|it| trace(2.0 + 0.1 * f64::from(it), 0.9)).collect();
         let found = Calibration::new(&scaling, &others).unwrap();
         let own: Vec<f64> = others.iter().map(|it| it.score(&found.channels)).collect();
         assert_eq!(found.scores, own);
