@@ -396,15 +396,17 @@ fn a_yaw_rate_that_is_computed_from_the_command_is_told() {
 /// What is done, and for what, 0.3 s after the wheels began to follow only this share of their command;
 /// `stopped` for leaving the envelope by its yaw or not at all.
 fn done_about(share: f64, stopped: bool) -> (Option<Action>, u32) {
-    let mut watch = Watch::new(&config(&["vehicle.wheelbase_m=2.875"]));
+    let mut watch = Watch::new(&config(&[]));
+    let at = |tick: u64| pose(1.0 + 0.03 * tick as f64, 0.0, 0.0);
+    let rolling = Movement { pose: at(0), speed_mps: 3.0, yaw_rate_radps: 0.0 };
+    watch.resume(rolling, 0.0);
     let mut wheels_rad: f64 = 0.0;
     let mut told_rad = 0.0;
     for tick in 0..132u64 {
         let follows = if tick < 100 { 1.0 } else { share };
         wheels_rad += (follows * told_rad - wheels_rad).clamp(-0.006, 0.006);
         let yaw_rate_radps = 3.0 * libm::tan(wheels_rad) / 2.875;
-        let pose = pose(1.0 + 0.03 * tick as f64, 0.0, 0.0);
-        watch.see(tick, Movement { pose, speed_mps: 3.0, yaw_rate_radps }, true);
+        watch.see(tick, Movement { pose: at(tick), yaw_rate_radps, ..rolling }, true);
         if tick == 100 && stopped {
             watch.stop(Safety::OUT_BY_YAW);
         }
