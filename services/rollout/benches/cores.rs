@@ -198,11 +198,7 @@ fn gate_in_an_envelope(bencher: Bencher, held: &str) {
     bencher.bench_local(move || {
         tick += 1;
         let at = Pose { x_m: 0.02 * tick as f64, ..pose() };
-        watch.see(
-            tick,
-            black_box(Movement { pose: at, speed_mps: 2.0, yaw_rate_radps }),
-            true,
-        );
+        watch.see(tick, black_box(Movement { pose: at, speed_mps: 2.0, yaw_rate_radps }), true);
         watch.follow(black_box(1.0));
         watch.command(0.01, 0, Some(black_box(wanted)))
     });
