@@ -46,7 +46,7 @@ const FILES: [&str; 5] = ["path", "vehicle", "law", "config", "over"];
 const SET: &str = "set.";
 
 /// The most jobs of one study. More would fill a manifest of gigabytes by mistake.
-const MOST_JOBS: u64 = 10_000_000;
+pub(crate) const MOST_JOBS: u64 = 10_000_000;
 
 /// One job: a value for each axis that the study names.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use config::open_regular;
 use serde::{Deserialize, Serialize};
 
-use crate::study::axes::compared_over;
+use crate::study::axes::{MOST_JOBS, compared_over};
 use crate::study::status::{jobs_have, ranges};
 use crate::words::Failure;
 
@@ -20,8 +20,6 @@ use crate::words::Failure;
 const LONGEST: u64 = 64 << 10;
 /// The most bytes of a line that are skipped in search of its end.
 const MOST_SKIPPED: u64 = 16 << 20;
-/// The most jobs of a study: what is noted of each while a manifest is read stays below 16 MiB.
-const MOST_JOBS: u64 = 100_000_000;
 
 /// One job of a study, as in its line.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -109,9 +107,6 @@ pub(crate) fn write(
         of += 1;
         Ok(())
     })?;
-    if of > MOST_JOBS {
-        return Err(Failure::User(format!("{of} jobs; a study has at most {MOST_JOBS}")));
-    }
     if longest as u64 >= LONGEST {
         return Err(Failure::User(format!("a job's line has {longest} bytes; shorten its values")));
     }

@@ -50,7 +50,12 @@ impl Store {
     /// Makes the folder, and names it by its whole path: a job works in another folder.
     pub(crate) fn make(self) -> Result<Self, Failure> {
         let fail = |error: io::Error| {
-            Failure::TryAgain(format!("{}: cannot be made: {error}", self.folder.display()))
+            let why = format!("{}: cannot be made: {error}", self.folder.display());
+            match error.kind() {
+                // A file in its place stays there.
+                io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => Failure::User(why),
+                _ => Failure::TryAgain(why),
+            }
         };
         fs::create_dir_all(&self.folder).map_err(fail)?;
         Ok(Self { folder: fs::canonicalize(&self.folder).map_err(fail)? })
