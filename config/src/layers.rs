@@ -255,6 +255,7 @@ impl Layers {
         let keys_borrowed = borrowed.as_ref().map(|it| it.keys.clone());
         take_stated_noise(&mut values, &mut origins);
         take_limits_of_vehicle(&mut values);
+        take_rate_of_vehicle(&mut values, &origins);
         let origin_of = |key: &str| {
             // The origin of the key itself, or of a part of it, or of a key that contains it.
             if key.starts_with("vehicle.gains") {
@@ -529,6 +530,22 @@ fn take_limits_of_vehicle(values: &mut Table) {
         if place.as_str() == Some(Limit::AUTO) || is_beyond {
             *place = Value::Float(limit);
         }
+    }
+}
+
+/// A steering rate that the user gives his vehicle bounds the gate's, where he sets none there: a command that the wheels
+/// cannot follow is none that the gate should let through.
+fn take_rate_of_vehicle(values: &mut Table, origins: &BTreeMap<String, String>) {
+    const OF_VEHICLE: &str = "vehicle.steering_rate_radps";
+    const OF_GATE: &str = "safety.steering_rate_limit_radps";
+    if !origins.contains_key(OF_VEHICLE) || origins.contains_key(OF_GATE) {
+        return;
+    }
+    let Some(rate) = find(values, OF_VEHICLE).and_then(number) else { return };
+    if let Some(place) = find_mut(values, OF_GATE)
+        && number(place).is_some_and(|own| own.is_finite() && own > rate)
+    {
+        *place = Value::Float(rate);
     }
 }
 

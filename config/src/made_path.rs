@@ -40,7 +40,9 @@ pub(crate) fn make(
     stand_at_the_end(origin, file)?;
     let mut path = resample(&file.points, &file.speeds_mps, MAX_POINTS);
     let is_drivable = |path: &Resampled| tightest(&path.points).1 <= sharpest * CURVATURE_MARGIN;
-    if (options.smooth_m.is_some() || !is_drivable(&path)) && file.points.len() >= FEWEST {
+    let zigzags = zigzags(&file.points);
+    if (options.smooth_m.is_some() || zigzags || !is_drivable(&path)) && file.points.len() >= FEWEST
+    {
         let bound_m = options.smooth_m.unwrap_or(UNASKED_MEAN_M);
         let smoothed = smooth(&file.points, sharpest, bound_m);
         let is_taken = match options.smooth_m {
@@ -63,6 +65,8 @@ pub(crate) fn make(
         if is_taken {
             let why = if options.smooth_m.is_some() {
                 "smoothed"
+            } else if is_drivable(&path) {
+                "smoothed, since its points lie to and fro beside the line, as noise does"
             } else {
                 "smoothed, since noise made turns that the car cannot drive"
             };
@@ -74,6 +78,7 @@ pub(crate) fn make(
             path = resample(&file.points, &file.speeds_mps, MAX_POINTS);
         }
     }
+    tell_of_swings(file, &path);
     if !path.speeds_mps.is_empty() {
         let last = path.speeds_mps.len() - 1;
         for speed_mps in &mut path.speeds_mps[..last] {
@@ -100,6 +105,54 @@ pub(crate) fn make(
     Ok(path)
 }
 
+/// Whether the points lie to and fro beside a line: white noise turns the steps by angles of which each two neighbours are
+/// opposed (their correlation is -2/3), while on curves they are alike.
+fn zigzags(points: &[[f64; 2]]) -> bool {
+    /// The root of the mean squared turn, rad: below it, the rounding of a file's decimals looks the same.
+    const TURN_RAD: f64 = 0.12;
+    const OPPOSED: f64 = -0.3;
+    let steps: Vec<[f64; 2]> =
+        points.windows(2).map(|pair| [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]]).collect();
+    let turns: Vec<f64> = steps
+        .windows(2)
+        .map(|pair| {
+            let [[ax, ay], [bx, by]] = [pair[0], pair[1]];
+            libm::atan2(ax * by - ay * bx, ax * bx + ay * by)
+        })
+        .collect();
+    let square: f64 = turns.iter().map(|turn| turn * turn).sum();
+    let beside: f64 = turns.windows(2).map(|pair| pair[0] * pair[1]).sum();
+    turns.len() >= 10
+        && square > TURN_RAD * TURN_RAD * turns.len() as f64
+        && beside < OPPOSED * square
+}
+
+/// Tells where the line between two points swings far out of their straight connection: a few points tell little of it.
+fn tell_of_swings(file: &mut PathFile, path: &Resampled) {
+    /// The share of the distance of two points; between the ends of a quarter of a circle it is 0.21.
+    const SHARE: f64 = 0.25;
+    let (mut widest_m, mut at) = (0.0, 0);
+    for (point, given) in path.points.iter().zip(&path.given) {
+        let (Some(a), Some(b)) = (file.points.get(*given), file.points.get(given + 1)) else {
+            continue;
+        };
+        let [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+        let chord_m = libm::hypot(dx, dy);
+        let beside_m = ((point[0] - a[0]) * dy - (point[1] - a[1]) * dx).abs() / chord_m;
+        if beside_m > SHARE * chord_m && beside_m > widest_m {
+            (widest_m, at) = (beside_m, *given);
+        }
+    }
+    if widest_m > 0.0 {
+        file.notes.push(format!(
+            "between lines {} and {} the path swings {widest_m:.1} m out of their straight connection, as smooth lines through few \
+             points do; give more points where it is to be straight",
+            file.lines[at],
+            file.lines[at + 1]
+        ));
+    }
+}
+
 /// Speeds of 0 are taken as where the car stands: at the ends, and on the way.
 fn stand_at_the_end(origin: &str, file: &mut PathFile) -> Result<(), ConfigError> {
     let count = file.speeds_mps.len();
@@ -123,7 +176,7 @@ fn stand_at_the_end(origin: &str, file: &mut PathFile) -> Result<(), ConfigError
     if inner > 0 {
         let points = if inner == 1 { "a point".to_owned() } else { format!("{inner} points") };
         words.push(format!(
-            "at {points} between, passed at {SLOWEST_MPS} m/s, as a drive has no stops"
+            "at {points} between, where the reference slows to {SLOWEST_MPS} m/s for a moment, as a drive has no stops"
         ));
     }
     if !words.is_empty() {
@@ -158,7 +211,7 @@ fn keep_widths(file: &mut PathFile, path: &mut Resampled) {
     path.widths_m = side(0).into_iter().zip(side(1)).map(|(left, right)| [left, right]).collect();
     let all = || path.widths_m.iter().flatten().copied();
     file.notes.push(format!(
-        "the road's edges are {:.2} to {:.2} m away; they are kept and drawn, and not watched",
+        "the road's edges are {:.2} to {:.2} m away; they are drawn, and a car whose body would pass them is stopped",
         all().fold(f64::INFINITY, f64::min),
         all().fold(0.0, f64::max)
     ));

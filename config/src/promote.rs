@@ -325,6 +325,7 @@ mod tests {
             path_mean_m: Some(0.1),
             path_max_m: None,
             grid_size: Some(750),
+            rank_value: None,
             rank_distance: Some(8),
             rank_mean: Some(3),
             mean_low: Some(0.25),

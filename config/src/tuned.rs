@@ -182,6 +182,9 @@ pub struct Provenance {
     /// Number of sets of the grid; `None` if the grid was not driven.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub grid_size: Option<u64>,
+    /// Rank in the grid by the objective of the training, noise-free.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rank_value: Option<u64>,
     /// Rank in the grid by the distance, noise-free.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rank_distance: Option<u64>,

@@ -79,7 +79,11 @@ pub(super) fn split(text: &str) -> (Vec<Line<'_>>, Vec<Line<'_>>) {
             }
             Some(_) => {}
             None if content.is_empty() => {}
-            None => body.push((line, content)),
+            // A comment behind the values.
+            None => {
+                let values = content.split_once(" #").map_or(content, |(values, _)| values);
+                body.push((line, values.trim_end()));
+            }
         }
     }
     (body, comments)

@@ -9,6 +9,10 @@ const SHORTEST_M: f64 = 1.0;
 const LONGEST_M: f64 = 1e5;
 /// Points nearer to each other than this are the same: below what any localisation can mean.
 const SAME_POINT_M: f64 = 1e-3;
+/// So are points nearer than this share of the usual step, up to a length: where the recorded car stood, its localisation did
+/// not.
+const STANDING_SHARE: f64 = 0.3;
+const STANDING_M: f64 = 0.03;
 /// A step is a gap if it is this many times the median step, …
 const GAP_FACTOR: f64 = 10.0;
 /// … and longer than this: dense points may be uneven although none is missing.
@@ -60,7 +64,7 @@ pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigEr
     let gap_m = apart_m(file.points[0], file.points[last]);
     if gap_m <= SAME_POINT_M && last >= 3 {
         file.points[last] = file.points[0];
-    } else if is_one_step_open(&file.points, gap_m, median_m) {
+    } else if is_steps_open(&file.points, gap_m, median_m, UNEVEN) {
         // Racelines leave out the last point, because it is the first one.
         file.points.push(file.points[0]);
         file.lines.push(file.lines[last]);
@@ -71,6 +75,10 @@ pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigEr
             file.widths_m.push(width_m);
         }
         file.notes.push(format!("its end is one step ({gap_m:.2} m) from its start: closed"));
+    } else if is_steps_open(&file.points, gap_m, median_m, NEARLY) {
+        file.notes.push(format!(
+            "its end is {gap_m:.2} m from its start, and it is not closed; for laps, let it end at its first point"
+        ));
     }
     Ok(file)
 }
@@ -79,11 +87,25 @@ fn apart_m(a: [f64; 2], b: [f64; 2]) -> f64 {
     libm::hypot(b[0] - a[0], b[1] - a[1])
 }
 
+/// The step with which half of the way is made: where a car stood for long, most steps are none.
+fn usual_step_m(points: &[[f64; 2]]) -> f64 {
+    let mut steps: Vec<f64> = points.windows(2).map(|pair| apart_m(pair[0], pair[1])).collect();
+    steps.sort_by(f64::total_cmp);
+    let half_m = 0.5 * steps.iter().sum::<f64>();
+    let mut way_m = 0.0;
+    let usual = steps.into_iter().find(|step_m| {
+        way_m += step_m;
+        way_m >= half_m
+    });
+    usual.unwrap_or(0.0)
+}
+
 /// Leaves out points at which the recorded car stood still, at the start, midway or at the end.
 fn without_repeats(file: PathFile) -> PathFile {
+    let same_m = (STANDING_SHARE * usual_step_m(&file.points)).clamp(SAME_POINT_M, STANDING_M);
     let mut kept: Vec<usize> = vec![0];
     for index in 1..file.points.len() {
-        if apart_m(file.points[kept[kept.len() - 1]], file.points[index]) > SAME_POINT_M {
+        if apart_m(file.points[kept[kept.len() - 1]], file.points[index]) > same_m {
             kept.push(index);
         }
     }
@@ -94,8 +116,9 @@ fn without_repeats(file: PathFile) -> PathFile {
     }
     let PathFile { points, speeds_mps, widths_m, lines, origin, mut notes } = file;
     notes.push(format!(
-        "{dropped} {} the point before, and {} left out",
-        if dropped == 1 { "point repeats" } else { "points repeat" },
+        "{dropped} {} within {:.0} mm of the point before, and {} left out",
+        if dropped == 1 { "point lies" } else { "points lie" },
+        1000.0 * same_m,
         if dropped == 1 { "is" } else { "are" }
     ));
     PathFile {
@@ -130,15 +153,20 @@ fn speeds_of(kept: &[usize], speeds_mps: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Whether only the last step of a lap is missing: the end lies no farther from the start than two points lie apart, and
-/// the step from there to the start leads on in the direction of its neighbours.
-fn is_one_step_open(points: &[[f64; 2]], gap_m: f64, median_m: f64) -> bool {
-    /// By how much the missing step may be longer than the others.
-    const UNEVEN: f64 = 1.5;
+/// By how much the missing step of a lap may be longer than those around it; and with how many such steps missing it still
+/// looks like a lap.
+const UNEVEN: f64 = 1.5;
+const NEARLY: f64 = 6.0;
+
+/// Whether a lap lacks no more than so many steps: the end lies no farther from the start than they are long, and the step
+/// from there to the start leads on in the direction of its neighbours.
+fn is_steps_open(points: &[[f64; 2]], gap_m: f64, median_m: f64, steps: f64) -> bool {
     let count = points.len();
     let step = |from: [f64; 2], to: [f64; 2]| (to[0] - from[0], to[1] - from[1]);
     let missing = step(points[count - 1], points[0]);
     let (before, behind) = (step(points[count - 2], points[count - 1]), step(points[0], points[1]));
     let leads_on = |(x_m, y_m): (f64, f64)| x_m * missing.0 + y_m * missing.1 > 0.0;
-    gap_m <= UNEVEN * median_m && leads_on(before) && leads_on(behind)
+    let length_m = |(x_m, y_m): (f64, f64)| libm::hypot(x_m, y_m);
+    let usual_m = median_m.max(length_m(before)).max(length_m(behind));
+    count > 3 && gap_m <= steps * usual_m && leads_on(before) && leads_on(behind)
 }

@@ -420,6 +420,7 @@ impl Trained {
             path_mean_m: Some(training.measures.path_mean_m),
             path_max_m: Some(training.measures.path_max_m),
             grid_size: grid.map(|grid| grid.size as u64),
+            rank_value: grid.map(|grid| grid.rank_value as u64),
             rank_distance: grid.map(|grid| grid.rank_distance as u64),
             rank_mean: grid.and_then(|grid| grid.rank_mean).map(|rank| rank as u64),
             mean_low: chosen.map(|chosen| chosen.low),
@@ -510,7 +511,7 @@ fn set_of<'a>(
 /// Digest, rank and time of gains.
 fn describe(provenance: Option<&Provenance>) -> [String; 3] {
     let Some(it) = provenance else { return ["by hand", "", ""].map(str::to_owned) };
-    let rank = match (it.rank_mean.or(it.rank_distance), it.grid_size) {
+    let rank = match (it.rank_mean.or(it.rank_value).or(it.rank_distance), it.grid_size) {
         (Some(rank), Some(size)) => format!("{rank} of {size}"),
         _ => "–".to_owned(),
     };

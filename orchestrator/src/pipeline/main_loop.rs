@@ -35,6 +35,9 @@ use crate::pipeline::sequencer::Sequencer;
 use crate::runs::state::RunState;
 use crate::words::Failure;
 
+/// So many stops of a fleet in lockstep are told one by one.
+const STOPS_TOLD: u64 = 4;
+
 /// A batch without a tick for this long has lost a message; each sign of life reports progress.
 const STALLED_AFTER_NS: u64 = 500_000_000;
 /// And one without a tick for this long has lost one even on a machine where the processes wait for a processor most
@@ -81,6 +84,8 @@ pub(crate) struct Pipeline<'a> {
     realtime: bool,
     /// The vehicle does pace by the clock.
     by_clock: bool,
+    /// Stops of a fleet in lockstep.
+    stops_told: u64,
     /// The gate of each slot.
     gates: Vec<GateLog>,
     /// A negative speed may be commanded, which brakes the vehicle.
@@ -174,6 +179,7 @@ impl<'a> Pipeline<'a> {
             interrupted: plan.interrupted.clone(),
             realtime,
             by_clock: false,
+            stops_told: 0,
             gates: Vec::new(),
             brakes: config.vehicle.safety.reverse_limit_mps > 0.0,
             batch_is_broken: false,
@@ -355,7 +361,8 @@ impl<'a> Pipeline<'a> {
         let mut heard = false;
         while let Some(message) = self.safety.receive()? {
             heard = true;
-            self.gates.resize_with(message.items().len(), GateLog::default);
+            let fleet = message.items().len();
+            self.gates.resize_with(fleet, GateLog::default);
             for (slot, (gate, now)) in self.gates.iter_mut().zip(message.items()).enumerate() {
                 let begins = gate.begins(now.reasons & Safety::TOLD);
                 if begins != 0 {
@@ -364,6 +371,19 @@ impl<'a> Pipeline<'a> {
                 }
                 if !gate.changes_to(now.state) {
                     continue;
+                }
+                // Of a fleet in lockstep, each stop is that drive's result, and a training makes thousands of them.
+                if !self.by_clock && !self.realtime && fleet > 1 {
+                    self.stops_told += u64::from(now.state == Safety::STOPPING);
+                    if self.stops_told > STOPS_TOLD {
+                        continue;
+                    }
+                    if self.stops_told == STOPS_TOLD && now.state == Safety::STOPPING {
+                        self.progress.notice(
+                            "more drives are being stopped; each counts as one that did not arrive",
+                        );
+                        continue;
+                    }
                 }
                 let of_the_drive = now.reasons & Safety::OF_THE_DRIVE != 0;
                 let why = describe_reasons(now.reasons);

@@ -124,16 +124,38 @@ fn next(
         format!("pathtune compare {of}"),
         "tells how many drives other tuners need for as good a set",
     ));
-    let force = if is_fragile { " --force" } else { "" };
-    next.push((
-        format!("pathtune gains promote {folder} car.toml{force}"),
-        "writes the set into the file of your vehicle",
-    ));
+    if !is_fragile {
+        let file = vehicle_file(run).unwrap_or_else(|| "car.toml".to_owned());
+        next.push((
+            format!("pathtune gains promote {folder} {file}"),
+            "writes the set into the file of your vehicle",
+        ));
+    }
     next.push((
         format!("pathtune drive {of} --realtime --from {folder}"),
         "drives it in real time; --replace vehicle=\u{2026} puts your vehicle in the loop",
     ));
     next
+}
+
+/// The file of the vehicle that the training was told, if it was one.
+fn vehicle_file(run: &RunResult) -> Option<String> {
+    let all = &run.run.command;
+    let told =
+        all.iter().enumerate().find_map(|(place, word)| match word.strip_prefix("--vehicle") {
+            Some("") => all.get(place + 1).cloned(),
+            Some(rest) => rest.strip_prefix('=').map(str::to_owned),
+            None => None,
+        });
+    told.filter(|it| it.contains('.') || it.contains('/')).map(|it| quoted(&it))
+}
+
+/// A word as a shell takes it.
+fn quoted(word: &str) -> String {
+    match word.contains(char::is_whitespace) {
+        true => format!("'{word}'"),
+        false => word.to_owned(),
+    }
 }
 
 /// The manoeuvre or the path, with the options of the training that make it what it is.
@@ -150,11 +172,7 @@ fn subject(run: &RunResult, config: &RunConfig) -> String {
             words.push(word.clone());
         }
     }
-    let quoted = |word: &String| match word.contains(char::is_whitespace) {
-        true => format!("'{word}'"),
-        false => word.clone(),
-    };
-    let options = words.iter().map(quoted);
+    let options = words.iter().map(|word| quoted(word));
     let is_own = words.iter().any(|it| it.starts_with("--path"));
     let maneuver = (!is_own).then(|| config.maneuver.clone());
     maneuver.into_iter().chain(options).collect::<Vec<_>>().join(" ")
