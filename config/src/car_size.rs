@@ -71,8 +71,8 @@ mod tests {
             let file = folder.path().join("path.csv");
             let path = format!("x_m,y_m,v_mps\n0,0,1\n40,0,{last_mps}\n");
             std::fs::write(&file, path).unwrap();
-            let mut layers = Layers::maneuver(crate::presets::OWN_PATH).unwrap();
-            layers.set(&format!("vehicle={vehicle}")).unwrap();
+            let mut layers = Layers::own_path();
+            layers.set_vehicle("--vehicle", vehicle).unwrap();
             sets.iter().for_each(|set| layers.set(set).unwrap());
             layers.add_path(&file).unwrap();
             layers.resolve().unwrap().drive.goal_radius_m

@@ -104,9 +104,13 @@ fn usual_step_m(points: &[[f64; 2]]) -> f64 {
 fn without_repeats(file: PathFile) -> PathFile {
     let same_m = (STANDING_SHARE * usual_step_m(&file.points)).clamp(SAME_POINT_M, STANDING_M);
     let mut kept: Vec<usize> = vec![0];
+    let mut is_repeated = true;
     for index in 1..file.points.len() {
-        if apart_m(file.points[kept[kept.len() - 1]], file.points[index]) > same_m {
+        let step_m = apart_m(file.points[kept[kept.len() - 1]], file.points[index]);
+        if step_m > same_m {
             kept.push(index);
+        } else {
+            is_repeated &= step_m == 0.0;
         }
     }
     let dropped = file.points.len() - kept.len();
@@ -115,12 +119,15 @@ fn without_repeats(file: PathFile) -> PathFile {
         return file;
     }
     let PathFile { points, speeds_mps, widths_m, lines, origin, mut notes } = file;
-    notes.push(format!(
-        "{dropped} {} within {:.0} mm of the point before, and {} left out",
-        if dropped == 1 { "point lies" } else { "points lie" },
-        1000.0 * same_m,
-        if dropped == 1 { "is" } else { "are" }
-    ));
+    let (points_do, are) = if dropped == 1 { ("point lies", "is") } else { ("points lie", "are") };
+    notes.push(match is_repeated {
+        true if dropped == 1 => "1 point repeats the point before, and is left out".to_owned(),
+        true => format!("{dropped} points repeat the point before, and are left out"),
+        false => {
+            let same_mm = 1000.0 * same_m;
+            format!("{dropped} {points_do} within {same_mm:.0} mm of the point before, and {are} left out")
+        }
+    });
     PathFile {
         points: kept.iter().map(|index| points[*index]).collect(),
         speeds_mps: if speeds_mps.is_empty() { speeds_mps } else { speeds_of(&kept, &speeds_mps) },

@@ -39,9 +39,13 @@ fn distance(train: &TrainResult) -> String {
     );
     match &train.plants {
         Some(check) => format!(
-            "{nominal}; {} m on average in the worst of {} plants that were drawn anew.",
+            "{nominal}; {} m on average in the worst of {} plants that were drawn anew{}.",
             number(check.fresh.path_mean_max_m, 3),
-            check.fresh.plants
+            check.fresh.plants,
+            match check.fresh.not_arrived {
+                0 => String::new(),
+                missed => format!(", on {missed} of which it does not arrive"),
+            }
         ),
         None => format!("{nominal}."),
     }
