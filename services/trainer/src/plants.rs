@@ -119,25 +119,35 @@ fn held_speed_mps(speeds: &[f64], tick_s: f64, held_s: f64) -> f64 {
     highest
 }
 
-/// How much later the steering may act at a speed, and from where the loop converges, with the vehicle as its file has it.
-pub fn margin(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Margin {
+/// How much later the steering may act at a speed, with the vehicle as its file has it.
+pub(crate) fn additional_dead_time(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Margin {
     let known = certificate::additional_dead_time_s(config, set, speed_mps);
-    let regions = known.as_ref().ok().and_then(|_| {
-        let subject = certificate::Subject::new(config, &[*set]).ok()?;
-        subject.sets_at(speed_mps).pop()
-    });
-    let (certified, simulated, no_certificate) =
-        regions.map_or((None, None, None), |it| (it.certified, it.simulated, it.no_certificate));
-    let extent =
-        |it: certificate::Extent| Extent { offset_m: it.offset_m, heading_rad: it.heading_rad };
     Margin {
-        certified: certified.map(extent),
-        simulated: simulated.map(extent),
-        no_certificate,
+        certified: None,
+        simulated: None,
+        no_certificate: None,
         speed_mps,
         additional_dead_time_s: known.as_ref().ok().copied().filter(|it| it.is_finite()),
         fragile_below_s: config.over.fragile_below_s,
         unknown: known.err(),
+    }
+}
+
+/// The same, and from where the loop converges: hundreds of simulated starts.
+pub fn margin(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Margin {
+    let margin = additional_dead_time(config, set, speed_mps);
+    if margin.unknown.is_some() {
+        return margin;
+    }
+    let subject = certificate::Subject::new(config, &[*set]).ok();
+    let Some(regions) = subject.and_then(|it| it.sets_at(speed_mps).pop()) else { return margin };
+    let extent =
+        |it: certificate::Extent| Extent { offset_m: it.offset_m, heading_rad: it.heading_rad };
+    Margin {
+        certified: regions.certified.map(extent),
+        simulated: regions.simulated.map(extent),
+        no_certificate: regions.no_certificate,
+        ..margin
     }
 }
 

@@ -1,7 +1,7 @@
 use config::{Layers, Parameters, RunConfig};
 use rollout::Rollout;
 
-use super::{HELD_S, held_speed_mps, margin};
+use super::{HELD_S, additional_dead_time, held_speed_mps};
 
 #[test]
 fn a_speed_counts_that_is_held_and_not_the_peak_of_a_moment() {
@@ -78,7 +78,7 @@ fn the_speed_that_is_held_finds_the_sets_that_shake_and_flags_fewer_of_the_other
                     let is_bad = off.is_empty() || off.iter().any(|it| *it > 0.5);
                     for (hold_s, found) in HOLDS_S.into_iter().zip(&mut found) {
                         let speed_mps = held_speed_mps(&speeds, tick_s, hold_s);
-                        let margin = margin(&config, &set, speed_mps);
+                        let margin = additional_dead_time(&config, &set, speed_mps);
                         let is_flagged = margin.why_fragile().is_some();
                         *if is_bad { &mut found.bad } else { &mut found.good } += 1;
                         *if is_bad { &mut found.bad_found } else { &mut found.good_flagged } +=
