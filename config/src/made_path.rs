@@ -7,8 +7,8 @@ use crate::smooth::smooth;
 use crate::speed_profile::{SpeedLimits, profile, too_abrupt};
 use crate::{ConfigError, PathOptions, Vehicle};
 
-/// Without --smooth, points are smoothed only where that makes them drivable and moves the line by less than localisation
-/// can mean: at the mean, and at most.
+/// Without --smooth, points are smoothed only where they lie to and fro or cannot be driven, and only if the car can drive
+/// the smoothed line, which moves by less than localisation can mean: at the mean, and at most.
 const UNASKED_MEAN_M: f64 = 0.05;
 const UNASKED_MOST_M: f64 = 0.2;
 /// The share of the vehicle's limits that a profile asks for: what drives it needs some of them to correct.

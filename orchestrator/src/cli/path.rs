@@ -15,7 +15,7 @@ pub struct PathReading {
     #[arg(long, value_name = "CRS", requires = "path")]
     pub crs: Option<Crs>,
     /// Smooths a path that was measured with noise; the line may lie this far from the points at the mean, in metres
-    /// [default: only where noise makes turns that the car cannot drive]
+    /// [default: only where points lie to and fro, or noise makes turns that the car cannot drive]
     #[arg(long, value_name = "METRES", requires = "path", value_parser = metres)]
     pub smooth: Option<f64>,
     /// The topic of the path, if --path is a bag of ROS 2 in MCAP: a nav_msgs/Path, or an odometry [default: the only one]
