@@ -132,6 +132,11 @@ def serve(run, role, event, service):
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.append(1))
     listener = run.event(event).listener_builder().create()
+    # Not the listener's own timed wait: the socket beneath counts in the kernel's ticks of a few milliseconds, and would
+    # wake a vehicle so late that it leaves ticks out.
+    builder = iox2.WaitSetBuilder.new().signal_handling_mode(iox2.SignalHandlingMode.Disabled)
+    alarm = builder.create(iox2.ServiceType.Ipc)
+    attached = alarm.attach_notification(listener)  # for as long as this is held
     beat = Outlet(run, "status")
     beat.header = BatchHeader(attempt=Attempt(run=run.number))
     status = service.status
@@ -151,12 +156,13 @@ def serve(run, role, event, service):
             if is_time:
                 due_ns = service.due_ns()
                 nap_ns = NAP_NS if due_ns is None else min(NAP_NS, due_ns - now)
-                # The socket beneath takes whole microseconds, and 0 of them for a time without end.
+                # The wait takes whole microseconds.
                 if nap_ns > 10_000:
                     meet_readers(service.outlets, beat)
                     try:
-                        listener.timed_wait(iox2.Duration.from_nanos(nap_ns))
-                    except iox2.ListenerWaitError:
+                        alarm.wait_and_process_with_timeout(iox2.Duration.from_nanos(nap_ns))
+                        listener.try_wait()
+                    except (iox2.WaitSetRunError, iox2.ListenerWaitError):
                         pass  # a signal, most likely; whatever it was, the next look tells
                 look = True
             else:
