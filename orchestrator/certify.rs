@@ -241,6 +241,7 @@ fn draw(
             maneuver: set.maneuver.clone(),
             speed_mps: at.speed_mps,
             p: known.map(cut),
+            simulated: set.simulated.map(|it| (it.offset_m, it.heading_rad)),
             starts: starts.iter().map(|it| (it.offset_m, it.heading_rad, it.converges)).collect(),
             no_certificate: set.no_certificate.clone(),
         }

@@ -11,8 +11,8 @@ use crate::cli::PathReading;
 #[command(
     after_help = "The promise holds for drives like those calibrated on, and for no others. In the simulator the
 drives are with noise, of vehicles that differ: noise × 0.7 to 1.4, wheelbase ± 5 %, steering rate and pedal lag ± 10 %.
-Half of the drives give the scales of what is looked at, the other half the threshold: 918 drives are the fewest that
-promise at most 1 % of false alarms (with a probability of 99 %); fewer promise less, and the table says how much.
+Half of the drives give the scales of what is looked at, the other half the threshold. 918 drives are the fewest that
+promise at most 1 % of false alarms, with a probability of 99 %. Fewer promise less; the table says how much.
 
 Examples:
   pathtune calibrate roundabout

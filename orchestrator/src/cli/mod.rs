@@ -730,8 +730,8 @@ pub enum GainsCommand {
         run: PathBuf,
         /// The vehicle's file
         vehicle: PathBuf,
-        /// Promote even if a gain changes by more than 30 %, the gains replace those of another law, or the training
-        /// was of a vehicle with another geometry
+        /// Promote even if the set is fragile, a gain changes by more than 30 %, the gains replace those of another law,
+        /// or the training was of a vehicle with another geometry
         #[arg(long)]
         force: bool,
         /// Only say what would change

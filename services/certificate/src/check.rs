@@ -157,3 +157,151 @@ fn is_positive(matrix: &Square<4>, added: &Square<4>) -> bool {
     // The lower triangle alone is read: the upper one is the same but for rounding.
     cholesky(&matrix).is_some()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Intervals;
+    use config::Layers;
+
+    const LANE: Gains = Gains { kv: 3.0, kl: 21.0, ks: 21.0, ki: 0.7 };
+
+    fn car() -> Car {
+        Car::new(&Layers::maneuver("circuit").unwrap().resolve().unwrap())
+    }
+
+    fn found(car: &Car, gains: &Gains, curvature: f64) -> Region {
+        let at = Equilibrium::new(car, gains, 1.45, curvature).unwrap();
+        Region::find(car, gains, &at, Intervals::default()).unwrap()
+    }
+
+    fn diagonal(numbers: State) -> Square<4> {
+        let mut out = [[0.0; 4]; 4];
+        (0..4).for_each(|place| out[place][place] = numbers[place]);
+        out
+    }
+
+    const ONE: State = [1.0; 4];
+
+    #[test]
+    fn what_rounding_may_have_made_positive_is_not() {
+        let positive =
+            |numbers: State, added: State| is_positive(&diagonal(numbers), &diagonal(added));
+        assert!(positive(ONE, ONE));
+        // The bound of four entries of size 1 is 2.7e-13.
+        assert!(positive([1.0, 1.0, 1.0, 1e-12], ONE));
+        assert!(!positive([1.0, 1.0, 1.0, 1e-13], ONE));
+        // More that was added up, more rounding: entries beside the diagonal count, too.
+        assert!(!is_positive(&diagonal([1.0, 1.0, 1.0, 1e-12]), &[ONE; 4]));
+        // Sizes that differ, as those of metres and radians do, are no matter.
+        assert!(positive([1e12, 1.0, 1e-3, 1e-9], [1e12, 1.0, 1e-3, 1e-9]));
+        assert!(!positive([1.0, 1.0, 1.0, f64::NAN], ONE));
+    }
+
+    #[test]
+    fn v_must_fall_by_its_share_and_not_only_not_rise() {
+        let p = diagonal([1.0, 4.0, 9.0, 0.1]);
+        let falls_with = |factor: f64| falls(&p, &diagonal([factor; 4]));
+        assert!(falls_with(1.0 - 6e-6), "V falls by 1.2e-5");
+        assert!(!falls_with(1.0 - 4e-6), "V falls by 8e-6");
+        assert!(!falls_with(1.0) && !falls_with(-1.1));
+        // One state that grows is enough.
+        assert!(!falls(&p, &diagonal([0.5, 0.5, 1.1, 0.5])));
+        // V is the sum of all, and a row that feeds another may make it rise.
+        let mut feeds = diagonal([0.9; 4]);
+        assert!(falls(&diagonal(ONE), &feeds));
+        feeds[3][0] = 0.5;
+        assert!(!falls(&diagonal(ONE), &feeds));
+    }
+
+    #[test]
+    fn a_limit_holds_all_round_the_ellipsoid() {
+        // The largest of 0.6·x + 0.8·y on the unit sphere is 1.
+        let within = |most: f64| is_within(&diagonal(ONE), &[0.6, -0.8, 0.0, 0.0], most);
+        assert!(within(1.0 + 1e-9) && !within(1.0 - 1e-9) && !within(1.0));
+        assert!(is_within(&diagonal([4.0; 4]), &[0.6, -0.8, 0.0, 0.0], 0.5 + 1e-9));
+    }
+
+    #[test]
+    fn each_number_of_where_the_loop_settles_is_held_to_it() {
+        let (car, region) = (car(), found(&car(), &LANE, 1.0 / 7.0));
+        assert_eq!(check(&car, &LANE, &region), Ok(()));
+        let changes: [fn(&mut Equilibrium); 5] = [
+            |it| it.speed_mps += 1e-6,
+            |it| it.lead_m += 1e-6,
+            |it| it.offset_m += 1e-6,
+            |it| it.heading_rad += 1e-6,
+            |it| it.steering_rad += 1e-6,
+        ];
+        for (place, change) in changes.into_iter().enumerate() {
+            let mut other = region.clone();
+            change(&mut other.equilibrium);
+            assert_eq!(check(&car, &LANE, &other), Err(Refusal::OtherEquilibrium), "{place}");
+        }
+        // On such an arc no car settles.
+        let mut other = region.clone();
+        other.equilibrium.curvature = 3.0;
+        assert_eq!(check(&car, &LANE, &other), Err(Refusal::OtherEquilibrium));
+    }
+
+    #[test]
+    fn a_car_that_cannot_turn_its_wheels_as_far_as_the_arc_asks_is_refused() {
+        let region = found(&car(), &LANE, 1.0 / 7.0);
+        let stiff = Car { steering_limit_rad: 0.01, ..car() };
+        let verdict = check(&stiff, &LANE, &region);
+        assert_eq!(verdict, Err(Refusal::Exceeds("the steering angle")));
+    }
+
+    #[test]
+    fn the_heading_is_held_where_nothing_else_is() {
+        // Gains that hardly steer, and wheels that could turn twice as fast as was asked of them.
+        let gains = Gains { kv: 3.0, kl: 0.5, ks: 1.0, ki: 0.7 };
+        let region = found(&car(), &gains, 0.0);
+        let larger = Region { p: region.p.map(|row| row.map(|it| it / 1.0201)), ..region };
+        let quick = Car { steering_rate_radps: 2.0 * car().steering_rate_radps, ..car() };
+        assert_eq!(check(&quick, &gains, &larger), Err(Refusal::Exceeds("the heading")));
+    }
+
+    #[test]
+    fn v_falls_while_the_wheels_turn_freely_and_while_their_rate_is_limited() {
+        let region = found(&car(), &LANE, 0.0);
+        let vertices = vertices(&car(), &LANE, &region.equilibrium, &region.intervals);
+        let vertex = &vertices[0];
+        let mut wheels = region.held;
+        wheels[3] += 1.0;
+        let p = &region.p;
+        assert!(falls(p, &vertex.matrix(&vertex.filter)) && falls(p, &vertex.matrix(&wheels)));
+        // Gains that do not steer at all, with an H that does: only the limited half would fall.
+        let idle = Gains { kl: 0.0, ks: 0.0, ..LANE };
+        let verdict = check(&car(), &idle, &region);
+        assert_eq!(verdict, Err(Refusal::Rises { at: 96, of: 96 }));
+    }
+
+    #[test]
+    fn what_is_no_matrix_is_refused_as_that() {
+        let region = found(&car(), &LANE, 0.0);
+        let refused = |change: &dyn Fn(&mut Region)| {
+            let mut other = region.clone();
+            change(&mut other);
+            check(&car(), &LANE, &other).unwrap_err()
+        };
+        assert_eq!(refused(&|it| it.p[0][0] = f64::INFINITY), Refusal::NotAMatrix);
+        assert_eq!(refused(&|it| it.p[2][2] = f64::NAN), Refusal::NotAMatrix);
+        assert_eq!(refused(&|it| it.held[3] = f64::INFINITY), Refusal::NotAMatrix);
+        assert_eq!(refused(&|it| it.p[3][1] *= 1.0 + 1e-12), Refusal::NotAMatrix);
+    }
+
+    #[test]
+    fn a_refusal_is_told_in_words() {
+        for (refusal, words) in [
+            (Refusal::NotAMatrix, "not symmetric"),
+            (Refusal::NotAnEllipsoid, "not positive definite"),
+            (Refusal::OtherEquilibrium, "does not settle"),
+            (Refusal::Rises { at: 3, of: 96 }, "V may rise at 3 of 96 vertices"),
+            (Refusal::Exceeds("the heading"), "exceed the limit of the heading"),
+            (Refusal::TooFar, "lies outside"),
+        ] {
+            assert!(refusal.to_string().contains(words), "{refusal}");
+        }
+    }
+}

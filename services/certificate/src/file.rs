@@ -76,3 +76,39 @@ impl Certificate {
         Ok(self.regions.iter().map(|it| check(&self.car, &it.gains, &it.region)).collect())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Equilibrium, Gains, Intervals, Region};
+    use config::Layers;
+
+    #[test]
+    fn a_file_is_held_to_its_own_words_and_to_the_car_that_it_is_for() {
+        let car = Car::new(&Layers::maneuver("circuit").unwrap().resolve().unwrap());
+        let gains = Gains { kv: 3.0, kl: 21.0, ks: 21.0, ki: 0.7 };
+        let at = Equilibrium::straight(1.45, 1.45 / 3.0);
+        let region = Region::find(&car, &gains, &at, Intervals::default()).unwrap();
+        let region = Certified { maneuver: "circuit".to_owned(), gains, region };
+        let file = Certificate::new("mine", &car, vec![region]);
+        assert_eq!(file.verify(), Ok(vec![Ok(())]));
+        let refused = |change: &dyn Fn(&mut Certificate), word: &str| {
+            let mut other = file.clone();
+            change(&mut other);
+            let said = other.verify().unwrap_err();
+            assert!(said.starts_with(word), "{said}");
+        };
+        refused(&|it| it.format.push('1'), "format: ");
+        refused(&|it| it.claim.push('.'), "claim: ");
+        refused(&|it| it.bound.fall *= 0.5, "bound: ");
+        refused(&|it| it.bound.rounding *= 0.5, "bound: ");
+        refused(&|it| it.car.steering_delay_s = 0.01, "car: ");
+        refused(&|it| it.car.steering_lag_s = 0.01, "car: ");
+        refused(&|it| it.car.steering_gain = 0.9, "car: ");
+        // Each region has a verdict of its own.
+        let mut two = file.clone();
+        two.regions.push(two.regions[0].clone());
+        two.regions[1].region.extent *= 1.1;
+        assert_eq!(two.verify(), Ok(vec![Ok(()), Err(Refusal::TooFar)]));
+    }
+}

@@ -35,6 +35,8 @@ pub struct RegionPicture {
     /// P of the certified ellipsoid, of offset and heading: the cut where filter and wheels are straight. `None` without a
     /// certificate.
     pub p: Option<[[f64; 2]; 2]>,
+    /// Offset and heading, both ways, of the region from which all of the simulated starts that looked for it came back.
+    pub simulated: Option<(f64, f64)>,
     /// Simulated starts: offset, heading, and whether the loop came back.
     pub starts: Vec<(f64, f64, bool)>,
     /// Why there is no certificate.
@@ -48,6 +50,16 @@ pub struct MarginCurve {
     pub maneuver: String,
     /// Speed and Δ, s: infinite where there is no bound, NaN where nothing is known.
     pub points: Vec<(f64, f64)>,
+}
+
+impl CertifiedGains {
+    /// The largest Δ that is drawn: a slow car's is many times what matters, and where it is small would not show.
+    fn most_shown_s(&self) -> f64 {
+        let known = self.margins.iter().flat_map(|curve| &curve.points).map(|point| point.1);
+        let least_s = known.filter(|it| it.is_finite()).fold(f64::INFINITY, f64::min);
+        let enough_s = 5.0 * self.fragile_below_s;
+        if least_s.is_finite() { enough_s.max(2.0 * least_s) } else { enough_s }
+    }
 }
 
 /// The page, and its pictures.
@@ -83,8 +95,12 @@ pub(crate) fn page_of(it: &CertifiedGains) -> Result<(String, Vec<Picture>), Rep
         );
     }
     let caption = "Additional dead time Δ: how much later than the vehicle’s file says the steering may act until the loop \
-                   oscillates. Nothing is drawn where it has no bound.";
-    let margins = page.figure(margins_of(it)?, caption);
+                   oscillates.";
+    let caption = format!(
+        "{caption} Nothing is drawn above {:.0} ms, or where it has no bound.",
+        1000.0 * it.most_shown_s()
+    );
+    let margins = page.figure(margins_of(it)?, &caption);
     page.section("How late the steering may act", html! { div.figures { (margins) } });
     page.section("What that means", html! { ul { @for note in &it.notes { li { (note) } } } });
     Ok(page.finish_without_config())
@@ -116,6 +132,10 @@ fn region_of(it: &RegionPicture) -> Result<Picture, ReportError> {
     if let Some(p) = &it.p {
         lines.push(Line::new("certain to come back", ellipse(p), Stroke::solid(NAVY, 2.0)));
     }
+    if let Some((y, heading)) = it.simulated {
+        let corners = [(y, heading), (-y, heading), (-y, -heading), (y, -heading), (y, heading)];
+        lines.push(Line::new("simulated region", corners, Stroke::dashed(NAVY, 1.2, DASHES[1])));
+    }
     for (label, converges, look) in [
         ("simulated, comes back", true, marks(GREY, Marker::Disc)),
         ("simulated, does not", false, marks(ORANGE, Marker::Cross)),
@@ -144,7 +164,7 @@ fn region_of(it: &RegionPicture) -> Result<Picture, ReportError> {
 
 fn margins_of(it: &CertifiedGains) -> Result<Picture, ReportError> {
     let curves = it.margins.iter().enumerate().map(|(index, curve)| {
-        let shown = curve.points.iter().filter(|point| point.1.is_finite());
+        let shown = curve.points.iter().filter(|point| point.1 <= it.most_shown_s());
         let points = shown.map(|(speed, margin_s)| (*speed, 1000.0 * margin_s));
         Line::new(&*curve.maneuver, points, Stroke { marker: None, ..Stroke::of_many(index) })
     });
@@ -190,10 +210,12 @@ mod tests {
             maneuver: "lane_change".to_owned(),
             speed_mps: 1.5,
             p: Some([[4.0, 0.0], [0.0, 16.0]]),
+            simulated: Some((1.2, 0.4)),
             starts: vec![(0.3, 0.1, true), (1.5, -0.5, false)],
             no_certificate: None,
         };
-        let points = vec![(0.5, f64::INFINITY), (1.0, 0.9), (2.0, 0.4), (3.0, f64::NAN)];
+        let points =
+            vec![(0.5, f64::INFINITY), (0.7, 7.0), (1.0, 0.9), (2.0, 0.4), (3.0, f64::NAN)];
         let gains = CertifiedGains {
             note: "gains 3 21 21 0.7".to_owned(),
             vehicle: "mine".to_owned(),
@@ -224,6 +246,11 @@ mod tests {
                 picture.name
             );
         }
-        assert!(pictures[1].svg.contains("certain to come back"));
+        for part in ["certain to come back", "simulated region"] {
+            assert!(pictures[1].svg.contains(part), "{part}");
+        }
+        // What is far above the bound of fragile sets would make the axis too long to show it.
+        assert!(html.contains("Nothing is drawn above 1000 ms"));
+        assert!(!pictures[2].svg.contains("7000"), "{}", pictures[2].svg);
     }
 }

@@ -373,6 +373,22 @@ fn in_the_circuit_alarms_are_rarely_false_and_faults_are_seen() {
     holds("circuit", &[ENGAGED], (drives() / 80).min(100), 4.0);
 }
 
+#[test]
+fn a_wheelbase_10_percent_longer_is_seen_and_with_twice_the_threshold_it_is_not() {
+    let config = config("circuit", &[ENGAGED]);
+    let sets = paper_sets(&config);
+    let mut envelope = calibrate(&config, &sets, drives() / 4, Varied, |_| {}).unwrap();
+    let few = (drives() / 24).min(100);
+    let longer: fn(&mut RunConfig) = |it| it.vehicle.wheelbase_m *= 1.1;
+    let mut count = |times: f64| {
+        envelope.threshold *= times;
+        seen(&config, &sets, &envelope, few, longer, (Wrong::Nothing, 0)).0
+    };
+    let (once, twice) = (count(1.0), count(2.0));
+    println!("wheelbase + 10 %: {once} of {few}, with twice the threshold {twice}");
+    assert!(2 * once >= few && 10 * twice <= few, "{once} and {twice} of {few}");
+}
+
 /// The score of a drive of a vehicle that differs from its file by this.
 fn score_of(
     config: &RunConfig,

@@ -94,8 +94,11 @@ impl Response {
     /// Before a vehicle at rest; `None` if its response is not watched.
     pub fn new(config: &RunConfig) -> Option<Self> {
         let vehicle = &config.vehicle;
-        let gear_s =
-            if vehicle.gear_engaged { 0.0 } else { vehicle.gear_drive_s + vehicle.gear_poll_s };
+        // A command to brake, as noise makes one, may have put it in reverse.
+        let gear_s = match vehicle.gear_engaged {
+            true => 0.0,
+            false => vehicle.gear_drive_s.max(vehicle.gear_reverse_s) + vehicle.gear_poll_s,
+        };
         let size = (vehicle.wheelbase_m / FULL_SIZE_WHEELBASE_M).min(1.0).sqrt();
         config.watches_response().then(|| Self {
             steering: SteeringChain::new(vehicle, config.drive.tick_s),

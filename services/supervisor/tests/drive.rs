@@ -229,9 +229,10 @@ fn each_way_of_not_doing_as_told_has_its_reason() {
 fn a_gear_that_is_not_engaged_yet_is_waited_for() {
     let config = config(&["vehicle.gear_engaged=false"]);
     let mut response = Response::new(&config).unwrap();
-    assert_eq!(respond(&mut response, 4.0, (1.5, 0.0), (0.0, 0.0)), 0);
+    // 4 s from reverse, as a command to brake leaves it, and 0.1 s until the selector looks.
+    assert_eq!(respond(&mut response, 6.0, (1.5, 0.0), (0.0, 0.0)), 0);
     let mut response = Response::new(&config).unwrap();
-    assert_eq!(respond(&mut response, 4.4, (1.5, 0.0), (0.0, 0.0)), Safety::STANDS);
+    assert_eq!(respond(&mut response, 6.4, (1.5, 0.0), (0.0, 0.0)), Safety::STANDS);
 }
 
 #[test]

@@ -115,9 +115,15 @@ pub fn envelope_of(
 ) -> Result<Envelope, String> {
     let (scaling, others) = traces.split_at(traces.len() / 2);
     let Some(found) = Calibration::new(scaling, others) else {
+        let (good, all) = (traces.len(), traces.len() as u64 + left_out);
+        if left_out == 0 {
+            return Err(format!("{good} drives are too few: at least 4 are needed"));
+        }
         return Err(format!(
-            "{} drives remain, and {left_out} were left out as too far from the path or ended early; at least 4 are needed",
-            traces.len()
+            "{good} of {all} drives stayed within {:.2} m of the path to their end, and at least 4 must: take steadier gains, \
+             or see whether noise as of this file (noise.position_sd_m = {}) is that of this car",
+            far_m(config),
+            config.noise.position_sd_m
         ));
     };
     let gains: Vec<NamedParameters> = sets.iter().map(|set| config.law.named(set)).collect();

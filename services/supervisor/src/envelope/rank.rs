@@ -99,21 +99,22 @@ mod tests {
     #[test]
     fn of_random_splits_nearly_all_keep_the_rate_and_with_the_conformal_rank_many_do_not() {
         let (splits, drives, others) = (200, 1000, 4000);
-        let keep = |above: u64| {
+        let keep = |guarantee: Guarantee| {
             let kept = (0..splits).filter(|split| {
                 let scores = shuffled(drives + others, 7919 * split + 3);
                 let mut calibrated = scores[..drives].to_vec();
                 calibrated.sort_by(f64::total_cmp);
-                let threshold =
-                    Guarantee { alpha: 0.01, delta: 0.01, above }.threshold(&calibrated);
+                let threshold = guarantee.threshold(&calibrated);
                 scores[drives..].iter().filter(|it| **it > threshold).count() * 100 <= others
             });
             kept.count()
         };
-        let pac = rank(drives as u64, 0.01, 0.01).unwrap();
+        let pac = Guarantee::of(drives as u64).unwrap();
         // Rank 991 of 1001 from below.
-        let conformal = drives as u64 - (1001.0f64 * 0.99).ceil() as u64;
+        let above = drives as u64 - (1001.0f64 * 0.99).ceil() as u64;
+        let conformal = Guarantee { above, ..pac };
         let (by_pac, by_conformal) = (keep(pac), keep(conformal));
+        println!("of {splits} splits {by_pac} keep the rate, {by_conformal} by the conformal rank");
         assert!(by_pac >= 190, "{by_pac}");
         assert!(by_conformal < 150, "{by_conformal}");
     }
@@ -126,6 +127,9 @@ mod tests {
         }
         let few = Guarantee::of(10).unwrap();
         assert_eq!((few.above, few.delta, Guarantee::of(0)), (0, 0.05, None));
-        assert_eq!(Guarantee::of(459).unwrap().alpha, 0.01);
+        for (drives, above) in [(459, 0), (1000, 2), (2000, 9)] {
+            let promised = Guarantee { alpha: 0.01, delta: 0.01, above };
+            assert_eq!(Guarantee::of(drives), Some(promised), "{drives}");
+        }
     }
 }
