@@ -279,3 +279,65 @@ fn a_lap_is_driven_several_times_and_started_anywhere_at_rest_or_rolling() {
     }
     sandbox.assert_clean();
 }
+
+/// A raceline of 26 m in the form of TUM's database, for a car at the scale of 1:10: two straights and two bends, into which
+/// the curvature rises and for which the speed falls. It begins at the end of a straight.
+fn fast_raceline() -> String {
+    let step_m = 0.05;
+    let ramp = (0..32).map(|index| (f64::from(index) + 0.5) / 32.0);
+    let bend = ramp.clone().chain([1.0; 80]).chain(ramp.rev());
+    let half: Vec<f64> = std::iter::repeat_n(0.0, 120).chain(bend).collect();
+    let turns_rad = step_m * half.iter().sum::<f64>();
+    let mut bends: Vec<f64> = half.repeat(2).iter().map(|it| it * 0.5 * TAU / turns_rad).collect();
+    bends.rotate_left(104);
+    let mut speeds: Vec<f64> = bends.iter().map(|it| (3.0 / it).sqrt().min(3.6)).collect();
+    let count = speeds.len();
+    for index in (0..2 * count).rev() {
+        let next = speeds[(index + 1) % count];
+        let braking = (next * next + 2.0 * 2.0 * step_m).sqrt();
+        speeds[index % count] = speeds[index % count].min(braking);
+    }
+    let (mut x_m, mut y_m, mut heading_rad) = (0.0, 0.0, 0.0);
+    let rows = bends.iter().zip(speeds).enumerate().map(|(index, (bend, speed_mps))| {
+        let (s_m, yaw_rad) = (step_m * index as f64, heading_rad - TAU / 4.0);
+        let row =
+            format!("{s_m:.4}; {x_m:.5}; {y_m:.5}; {yaw_rad:.5}; {bend:.5}; {speed_mps:.4}; 0.0\n");
+        let (sin, cos) = f64::sin_cos(heading_rad + 0.5 * bend * step_m);
+        (x_m, y_m, heading_rad) =
+            (x_m + step_m * cos, y_m + step_m * sin, heading_rad + bend * step_m);
+        row
+    });
+    let rows: String = rows.collect();
+    format!("# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2\n{rows}")
+}
+
+#[test]
+fn each_of_ten_laps_is_as_near_to_a_raceline_as_the_first() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("raceline.csv"), fast_raceline()).unwrap();
+    let sets: [(&str, &[&str]); 5] = [
+        ("paper", &["--gains", "3,21,21,0.7"]),
+        ("stanley", &[]),
+        ("pure_pursuit", &[]),
+        ("lqr", &[]),
+        ("mpc", &[]),
+    ];
+    for (law, gains) in sets {
+        // From rest, the first lap would be slower, and thus nearer to the path.
+        let rolling = ["--laps", "10", "--set", "drive.start_speed_mps=3.6", "--law", law];
+        let args =
+            [&["drive", "--path", "raceline.csv", "--vehicle", "f1tenth"], &rolling[..], gains];
+        let driven = sandbox.json(law, &args.concat());
+        let laps = driven["laps"]["drive"].as_array().unwrap();
+        let means_m: Vec<f64> = laps.iter().map(|lap| number(&lap["path_mean_m"])).collect();
+        let told = format!("{law}: {means_m:.5?}");
+        println!("{told}");
+        assert_eq!((&driven["reason"], means_m.len()), (&"goal".into(), 10), "{told}");
+        assert!(laps.iter().all(|lap| lap["time_s"].is_number()), "{told}");
+        assert_eq!(driven["slowed_for"], serde_json::json!([]), "{told}");
+        // The paper's law begins without the error that it has in bends from then on.
+        let most = if law == "paper" { 0.15 } else { 0.1 };
+        assert!(means_m.iter().all(|it| (it / means_m[0] - 1.0).abs() < most), "{told}");
+    }
+    sandbox.assert_clean();
+}

@@ -245,6 +245,19 @@ impl DriveController {
         (along_m / path.length_m()).clamp(0.0, 1.0)
     }
 
+    /// Whether the vehicle has passed the end of the path, no farther to the side than the goal's radius. Where speeds fall
+    /// towards the end, it is there before the reference, and may no longer be near when the reference comes.
+    fn has_passed_the_end(&self, at: Pose) -> bool {
+        let path = self.reference.path();
+        let end = self.reference.end();
+        let (dx, dy) = (at.x_m - end.x_m, at.y_m - end.y_m);
+        let (sin, cos) = (libm::sin(end.yaw_rad), libm::cos(end.yaw_rad));
+        // On a closed path, the beginning of the last lap lies ahead of the end, too.
+        dx * cos + dy * sin > 0.0
+            && (dy * cos - dx * sin).abs() <= self.goal_radius_m
+            && self.follower.along_m(path, at.x_m, at.y_m) >= path.length_m()
+    }
+
     fn end_reason(&mut self, phase: Phase, seen: Seen, scored: Pose) -> Option<EndReason> {
         if seen.collision {
             return Some(EndReason::Collision);
@@ -254,6 +267,9 @@ impl DriveController {
             let is_over =
                 self.gate.stands || self.stop_ticks as f64 * self.tick_s >= Self::LONGEST_STOP_S;
             return is_over.then_some(EndReason::Stopped);
+        }
+        if self.has_passed_the_end(seen.measured) {
+            return Some(EndReason::Goal);
         }
         // Only after the reference: a closed path must not end where it begins.
         if self.reference.at_end() {
@@ -340,6 +356,23 @@ mod tests {
         assert!(drive.tick(Phase::default(), still(0.75)).ended.is_none());
         let ended = drive.tick(Phase::from(100), still(0.6)).ended.unwrap();
         assert_eq!(ended.reason, EndReason::Goal);
+    }
+
+    #[test]
+    fn who_has_passed_the_end_has_arrived_before_the_reference() {
+        let reason = |pieces: &str, x_m: f64, y_m: f64| {
+            let mut drive = drive(&[&format!("path.pieces=[{pieces}]")]);
+            let mut seen = still(x_m);
+            seen.measured.y_m = y_m;
+            drive.tick(Phase::default(), seen).ended.map(|it| it.reason)
+        };
+        let straight = "{kind='straight',length_m=0.75}";
+        assert_eq!(reason(straight, 0.8, 0.0), Some(EndReason::Goal));
+        assert_eq!(reason(straight, 1.8, 0.1), Some(EndReason::Goal));
+        assert_eq!(reason(straight, 0.8, 0.3), None);
+        // A circle begins where it ends.
+        let circle = "{kind='arc',radius_m=5.0,angle_deg=360.0}";
+        assert_eq!(reason(circle, 0.1, 0.0), None);
     }
 
     #[test]
