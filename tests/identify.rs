@@ -5,7 +5,7 @@ mod support;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::{Command as Program, Output};
+use std::process::Output;
 
 use config::{Layers, Vehicle};
 use serde_json::Value;
@@ -380,20 +380,6 @@ fn odometry_from_the_command() {
     sandbox.assert_clean();
 }
 
-/// Python with the packages that the multi-body car needs, or `None` where tests may be skipped.
-fn python() -> Option<String> {
-    let why = "PATHTUNE_PYTHON names no interpreter with iceoryx2 and commonroad-vehicle-models";
-    let python = std::env::var("PATHTUNE_PYTHON").ok().filter(|python| {
-        let packages = ["-c", "import iceoryx2, vehiclemodels"];
-        Program::new(python).args(packages).output().is_ok_and(|it| it.status.success())
-    });
-    if python.is_none() {
-        assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
-        eprintln!("skipped: {why}");
-    }
-    python
-}
-
 /// Noise of a good receiver: 2 cm, and ± 0.7° evenly.
 const NOISE: [&str; 5] = [
     "--noise",
@@ -408,7 +394,7 @@ const NOISE: [&str; 5] = [
 /// drives as an owner would, drives N times each with noise of its own, and prints the figures.
 #[test]
 fn a_car_that_nobody_here_wrote_is_identified_tuned_and_driven_nearer_than_textbooks_do() {
-    let Some(python) = python() else { return };
+    let Some(python) = support::python_with_a_multi_body_car() else { return };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/shm_car.py");
     let car = format!(
         "vehicle={python} -B {} --steering-delay-s 0.15 --steering-lag-s 0.12",

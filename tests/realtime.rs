@@ -3,7 +3,6 @@
 mod support;
 
 use std::path::Path;
-use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
 use ipc_types::{Safety, has};
@@ -198,18 +197,10 @@ fn gains_of_a_training_are_driven() {
 
 #[test]
 fn a_car_that_nobody_here_wrote_drives_over_shared_memory() {
-    let why = "PATHTUNE_PYTHON names no interpreter with iceoryx2 and commonroad-vehicle-models";
-    let Some(python) = std::env::var_os("PATHTUNE_PYTHON").filter(|python| {
-        let packages = ["-c", "import iceoryx2, vehiclemodels"];
-        Program::new(python).args(packages).output().is_ok_and(|it| it.status.success())
-    }) else {
-        assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
-        eprintln!("skipped: {why}");
-        return;
-    };
+    let Some(python) = support::python_with_a_multi_body_car() else { return };
     let sandbox = Sandbox::new();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/shm_car.py");
-    let car = format!("vehicle={} -B {}", python.to_str().unwrap(), script.display());
+    let car = format!("vehicle={python} -B {}", script.display());
     for (maneuver, seconds) in [("lane_change", 8), ("roundabout", 15)] {
         let time = format!("drive.loop_time_s={seconds}");
         let args = ["drive", maneuver, "--set", &time, "--set", "vehicle.gear_engaged=true"];

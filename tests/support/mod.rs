@@ -21,6 +21,20 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
+/// Python with the packages that CommonRoad's multi-body car needs, or `None` where tests may be skipped.
+pub fn python_with_a_multi_body_car() -> Option<String> {
+    let why = "PATHTUNE_PYTHON names no interpreter with iceoryx2 and commonroad-vehicle-models";
+    let python = std::env::var("PATHTUNE_PYTHON").ok().filter(|python| {
+        let packages = ["-c", "import iceoryx2, vehiclemodels"];
+        Command::new(python).args(packages).output().is_ok_and(|it| it.status.success())
+    });
+    if python.is_none() {
+        assert!(std::env::var_os("PATHTUNE_NO_SKIPS").is_none(), "{why}");
+        eprintln!("skipped: {why}");
+    }
+    python
+}
+
 /// A place of its own for one test.
 pub struct Sandbox {
     folder: TempDir,

@@ -94,3 +94,30 @@ fn a_price_on_travel_keeps_tuned_wheels_calm() {
         assert!(travel_radps < 0.6, "{law}: {travel_radps} rad/s");
     }
 }
+
+/// Sets that a training finds within the bounds of the presets.
+#[test]
+fn textbook_laws_come_nearer_than_the_paper_s_within_their_grids() {
+    let of = |maneuver: &str, law: &str, set: &[f64], sets: &[&str]| {
+        let config = config(maneuver, law, sets);
+        for (parameter, value) in config.law.parameters.iter().zip(set) {
+            let axis = config.grid[&parameter.key];
+            assert!((axis.min..=axis.max).contains(value), "{}", parameter.key);
+        }
+        (config, Parameters::of(set))
+    };
+    let (config, set) =
+        of("lane_change", "stanley", &[4.0, 0.9, 0.5, 0.98], &["vehicle.gear_engaged=true"]);
+    let mut rollout = Rollout::new(&config);
+    let drives: Vec<DriveRecord> = (1..=30).map(|seed| rollout.drive(set, Some(seed))).collect();
+    let mean = |of: fn(&DriveRecord) -> f64| drives.iter().map(of).sum::<f64>() / 30.0;
+    let (distance, travel_radps) =
+        (mean(|it| it.distance(10.0)), mean(|it| it.steering_travel_radps));
+    println!("lane change with noise, Stanley's law: d {distance:.4}, {travel_radps:.2} rad/s");
+    assert!(distance <= 0.26 && travel_radps <= 0.54, "{distance}, {travel_radps} rad/s");
+
+    let (config, set) = of("circuit", "pure_pursuit", &[4.5, 2.0, 0.0, 0.96], &[]);
+    let mse_m2 = Rollout::new(&config).drive(set, None).mse_m2();
+    println!("circuit, one set of pure pursuit: {mse_m2:.4} m²");
+    assert!(mse_m2 <= 0.06, "{mse_m2} m²");
+}
