@@ -31,8 +31,10 @@ pub(super) struct Recorded {
 #[derive(Debug, Default)]
 struct Drive {
     ticks: BTreeMap<u64, Tick>,
-    ended: bool,
-    held: bool,
+    /// The tick that ended it. By the clock the vehicle goes on telling where it is, while it rolls out.
+    ended_at: Option<u64>,
+    /// The first tick at which the gate did not let it drive.
+    held_at: Option<u64>,
 }
 
 #[derive(Debug, Default)]
@@ -111,17 +113,21 @@ fn note(
             "/pathtune/raw_command" => {
                 let Some(raw) = RawCommand::take(&mut bytes) else { break };
                 let drive = drives.entry(key).or_default();
-                drive.ended |= has(raw.flags, Command::ENDED);
+                if has(raw.flags, Command::ENDED) {
+                    drive.ended_at.get_or_insert(header.tick);
+                }
                 drive.ticks.entry(header.tick).or_default().along_m = Some(raw.reference_along_m);
             }
             _ => {
                 let Some(passed) = Command::take(&mut bytes) else { break };
                 let drive = drives.entry(key).or_default();
                 if has(passed.flags, Command::ENDED) {
-                    drive.ended = true;
+                    drive.ended_at.get_or_insert(header.tick);
                     continue;
                 }
-                drive.held |= passed.flags & HELD != 0;
+                if passed.flags & HELD != 0 {
+                    drive.held_at.get_or_insert(header.tick);
+                }
                 let tick = drive.ticks.entry(header.tick).or_default();
                 tick.steering_rad = Some(passed.steering_rad);
             }
@@ -132,14 +138,15 @@ fn note(
 
 /// What is kept of a drive; `None` if it is no example of a good one.
 fn trace(drive: &Drive, config: &RunConfig) -> Option<DriveTrace> {
-    if !drive.ended || drive.held {
+    let ended_at = drive.ended_at?;
+    if drive.held_at.is_some_and(|tick| tick <= ended_at) {
         return None;
     }
     let path = DrivenPath::new(&config.path);
     let mut follower = PathFollower::new(&path, 0.0);
     let mut evidence = Evidence::new(config);
     let mut trace = DriveTrace::default();
-    for (tick, it) in &drive.ticks {
+    for (tick, it) in drive.ticks.range(..=ended_at) {
         let Some(movement) = it.movement else { continue };
         if follower.distance_m(&path, it.at.0, it.at.1) > far_m(config) {
             return None;
@@ -155,4 +162,33 @@ fn trace(drive: &Drive, config: &RunConfig) -> Option<DriveTrace> {
         }
     }
     Some(trace)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use config::Layers;
+
+    /// A car on the path's straight for 20 ticks, and from then on far beside it.
+    fn drive(ended_at: Option<u64>, held_at: Option<u64>) -> Drive {
+        let tick = |tick: u64| {
+            let at = (0.01 * tick as f64, if tick < 20 { 0.0 } else { -9.0 });
+            let pose = Pose { x_m: at.0, y_m: at.1, yaw_rad: 0.0 };
+            let movement = Some(Movement { pose, speed_mps: 1.0, yaw_rate_radps: 0.0 });
+            let (along_m, steering_rad) = (Some(at.0), Some(0.0));
+            (tick, Tick { movement, obeys: true, at, along_m, steering_rad })
+        };
+        Drive { ticks: (0..40).map(tick).collect(), ended_at, held_at }
+    }
+
+    #[test]
+    fn what_comes_after_the_end_of_a_drive_does_not_count() {
+        let config = Layers::maneuver("smooth_lane").unwrap().resolve().unwrap();
+        let is_kept = |ended_at, held_at| trace(&drive(ended_at, held_at), &config).is_some();
+        assert!(is_kept(Some(19), None));
+        assert!(is_kept(Some(19), Some(20)));
+        assert!(!is_kept(Some(20), None));
+        assert!(!is_kept(Some(19), Some(10)));
+        assert!(!is_kept(None, None));
+    }
 }
