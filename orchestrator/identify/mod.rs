@@ -169,10 +169,17 @@ fn refusal(found: &Identification) -> Option<String> {
     if worse.windows == 0 {
         return Some(format!("no {} s of the drive could be predicted", worse.over_s));
     }
-    Some(format!(
-        "the new values do not predict the drive better over {} s ({:.3} m, the file's {:.3} m)",
-        worse.over_s, worse.after_m, worse.before_m
-    ))
+    let figures = format!("{:.3} m, the file's {:.3} m", worse.after_m, worse.before_m);
+    let over_s = worse.over_s;
+    Some(if worse.after_m < worse.before_m {
+        let [low, high] = worse.ratio.map(|it| 100.0 * it);
+        format!(
+            "over {over_s} s the new values predict the drive better ({figures}), but that may be chance ({low:.0} to {high:.0} %); \
+             drive for longer"
+        )
+    } else {
+        format!("the new values do not predict the drive better over {over_s} s ({figures})")
+    })
 }
 
 /// Reads a drive in whichever form it is.
