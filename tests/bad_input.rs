@@ -167,7 +167,11 @@ fn runtime_folders_of_any_length_do() {
             .env("XDG_RUNTIME_DIR", &folder)
             .output()
             .unwrap();
-        assert!(output.status.success(), "{length}: {}", String::from_utf8_lossy(&output.stderr));
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{length}: {said}");
+        // One that is too long is not passed over silently.
+        let told = format!("XDG_RUNTIME_DIR={} has", folder.display());
+        assert_eq!(said.contains(&told), folder.as_os_str().len() > 18, "{length}: {said}");
     }
 }
 

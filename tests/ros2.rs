@@ -32,6 +32,7 @@ mod without {
 #[path = "ros2"]
 mod with {
     mod drives;
+    mod fault_table;
     mod faults;
     mod networks;
     mod ring;

@@ -246,7 +246,7 @@ message!(
         pub phase_ticks: f64,
         /// The rate at which the reference's clock is to run on from the tick after `tick`, in ticks of the clock in a
         /// tick of the vehicle: 1, less while the reference waits for a vehicle that does not follow; it falls to 0 while
-        /// the gate slows down or stops the vehicle.
+        /// the gate slows down or stops the vehicle, and is up to 16 beside one that drives on although it is braked.
         pub clock_rate: f64,
         /// [`Safety::NORMAL`] or one of the values that follow it.
         pub state: u32,

@@ -376,7 +376,8 @@ pub struct SetupArgs {
     /// Continue in another file (recording-0001.mcap, …) once one reaches this size, as in 500M
     #[arg(long, value_name = "SIZE", requires = "record", value_parser = parse_size)]
     pub record_split: Option<u64>,
-    /// Number of restarts that each process is allowed within ten seconds
+    /// How often each process may die within ten seconds and be started again; once more, and the run is given up.
+    /// Drives that are finished in between clear the count. A launch file may say another number for a process
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub restart_budget: u32,
     /// Inject faults, as in 'kill controller@drive=12,tick=300; stop simulator@drive=20 for 2s; drop command p=0.001;

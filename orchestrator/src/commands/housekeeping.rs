@@ -250,7 +250,11 @@ fn examine() -> Vec<Finding> {
         "run folder",
         folder.is_ok(),
         match &folder {
-            Ok(root) => format!("{} is private", root.parent().unwrap_or(root).display()),
+            Ok(root) => {
+                let private = format!("{} is private", root.parent().unwrap_or(root).display());
+                runtime::run::passed_over()
+                    .map_or(private.clone(), |why| format!("{private} ({why})"))
+            }
             Err(error) => error.to_string(),
         },
         "set XDG_RUNTIME_DIR to a folder of your own with a short path",

@@ -17,6 +17,7 @@ use crate::runs::files::write_whole;
 use crate::runs::preflight;
 use crate::runs::setup::Ready;
 use crate::words::Failure;
+use crate::words::terminal::tell;
 
 /// What only the orchestrator knows about a run.
 pub(crate) struct RunFacts {
@@ -71,6 +72,9 @@ pub(crate) struct PrivateNames {
 impl PrivateNames {
     /// Makes new ones.
     pub(crate) fn create() -> Result<Self, Failure> {
+        if let Some(why) = runtime::run::passed_over() {
+            tell!("pathtune: {why}");
+        }
         let (names, lock) = RunNames::start().map_err(|error| Failure::User(error.to_string()))?;
         Ok(Self { names, _lock: lock })
     }

@@ -4,6 +4,7 @@
 //! journal; elsewhere it begins anew. Both come to the same bytes.
 
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -48,6 +49,11 @@ pub(crate) fn run_job(
             say(args, &format!("job {index} is done"));
             Ok(())
         }
+        // Another engine on the same manifest and scratch folder was faster, and took away what this one stood on.
+        Err(_) if store.is_done(&job.job) => {
+            say(args, &format!("job {index} is done: another process ran it at the same time"));
+            Ok(())
+        }
         Err(failure) => {
             let failure = match failure {
                 Failure::User(_) | Failure::TryAgain(_) => failure,
@@ -75,7 +81,7 @@ fn say(args: &RunJobsArgs, line: &str) {
 /// Takes the core that this process was given, and ties it to the process that started it as one of several.
 fn tie_to(args: &RunJobsArgs) -> Result<(), Failure> {
     if let Some(parent) = args.under {
-        set_parent_process_death_signal(Some(Signal::TERM)).map_err(std::io::Error::from)?;
+        set_parent_process_death_signal(Some(Signal::TERM)).map_err(io::Error::from)?;
         // It may have died before the signal was asked for.
         if getppid().map(|pid| pid.as_raw_nonzero().get()) != Some(parent) {
             return Err(Failure::TryAgain("the process that started this one is gone".to_owned()));
@@ -125,7 +131,10 @@ fn try_job(
         other => other,
     })?;
     let failed = |why: String| Failure::TryAgain(why);
-    let outcome = fs::read(folder.join(OUTCOME_FILE))?;
+    let outcome = fs::read(folder.join(OUTCOME_FILE)).map_err(|error| {
+        let why = format!("{}: {error}; another process may run this job, too", folder.display());
+        Failure::TryAgain(why)
+    })?;
     let course = compared.map(|drives| (tools.course)(config, drives));
     let course = course.transpose().map_err(|why| Failure::User(format!("compare: {why}")))?;
     let record = Record::of(&job.job, &result, &outcome, course, &host()).map_err(failed)?;
@@ -153,7 +162,7 @@ fn train_in(
         Err(Failure::User(why)) if options.resume.is_some() => {
             say(args, &format!("begins anew: {why}"));
             wait_for_lock(folder)?;
-            fs::remove_dir_all(folder)?;
+            remove(folder)?;
             options.resume = None;
             options.setup.out = Some(folder.to_owned());
             train_silently(&options, services)
@@ -173,7 +182,7 @@ fn validate_in(
         if let Some(result) = finished(folder) {
             return Ok(result);
         }
-        fs::remove_dir_all(folder)?;
+        remove(folder)?;
     }
     options.setup.quiet = true;
     options.setup.out = Some(folder.to_owned());
@@ -182,7 +191,7 @@ fn validate_in(
 
 /// A folder's whole path, made if it is not there.
 fn absolute(folder: &Path) -> Result<PathBuf, Failure> {
-    let fail = |error: std::io::Error| {
+    let fail = |error: io::Error| {
         Failure::TryAgain(format!("{}: cannot be made: {error}", folder.display()))
     };
     fs::create_dir_all(folder).map_err(fail)?;
@@ -201,10 +210,21 @@ fn prepare(folder: &Path, options: &mut TrainArgs) -> Result<(), Failure> {
     if ["config.toml", "launch.toml", "journal"].iter().all(|name| folder.join(name).exists()) {
         options.resume = Some(folder.to_owned());
     } else {
-        fs::remove_dir_all(folder)?;
+        remove(folder)?;
         options.setup.out = Some(folder.to_owned());
     }
     Ok(())
+}
+
+/// Removes what an earlier trial left, unless another process has just done so.
+fn remove(folder: &Path) -> Result<(), Failure> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            let why = format!("{}: cannot be removed: {error}", folder.display());
+            Err(Failure::TryAgain(why))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Refuses a folder in which another process trains. Those of a killed trial may need a moment to follow it.

@@ -1,11 +1,13 @@
 //! The clock of a vehicle's reference: how many ticks the reference has run.
 //!
 //! It runs at the rate that the gate sets: it waits for a vehicle that does not follow, and while the gate slows down or
-//! stops the vehicle. Where the vehicle paces by the clock, it also
+//! stops the vehicle, and goes along with one that cannot be stopped. Where the vehicle paces by the clock, it also
 //! - starts again from rest, when a stopped vehicle is allowed to drive on;
 //! - goes on where its predecessor was, when a controller joins a drive that has begun.
 //!
 //! Pure: the gate's report is an argument, and what the drive must do about it is returned.
+
+use tracking::FASTEST_CLOCK;
 
 /// The part of a gate's report on which the clock depends.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,7 +17,7 @@ pub struct GateReport {
     /// Where along the path the clock last started from rest, and the ticks that it has run since, as in the
     /// controller's last answer; `None` if the gate has received no answer.
     pub reference: Option<(f64, f64)>,
-    /// How many ticks the clock must run in a tick of the vehicle, 0 to 1.
+    /// How many ticks the clock must run in a tick of the vehicle, 0 to [`FASTEST_CLOCK`].
     pub clock_rate: f64,
     /// The vehicle is being stopped, or stands.
     pub is_stopped: bool,
@@ -164,12 +166,12 @@ impl ReferenceClock {
     }
 
     fn run_to(&mut self, tick: u64, rate: Option<f64>) {
-        // It never runs faster than the vehicle's ticks, whatever another process reports.
-        self.rate = rate.map_or(self.rate, |it| finite_or_zero(it).clamp(0.0, 1.0));
+        // It has a bound, whatever another process reports.
+        self.rate = rate.map_or(self.rate, |it| finite_or_zero(it).clamp(0.0, FASTEST_CLOCK));
         let since = self.at_tick.map_or(tick, |at| tick.saturating_sub(at)) as f64;
         self.phase.ticks += self.rate * since;
         if !self.is_frozen {
-            self.phase.waited_ticks += (1.0 - self.rate) * since;
+            self.phase.waited_ticks += (1.0 - self.rate).max(0.0) * since;
         }
         self.at_tick = Some(tick);
     }
@@ -240,7 +242,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_never_runs_backward_nor_faster_than_the_ticks_whatever_is_told(
+        fn it_never_runs_backward_nor_faster_than_its_bound_whatever_is_told(
             ticks in prop::collection::vec((1..50u64, any_report()), 1..60),
         ) {
             let mut clock = ReferenceClock::default();
@@ -257,7 +259,7 @@ mod tests {
                         prop_assert_eq!(moved, Moved::On);
                         let run = clock.phase.ticks - before;
                         // Up to rounding.
-                        let most = since as f64 + 1e-9;
+                        let most = FASTEST_CLOCK * since as f64 + 1e-9;
                         prop_assert!((0.0..=most).contains(&run), "{run} in {since}");
                     }
                 }
@@ -327,7 +329,7 @@ mod tests {
                 prop_assert_eq!(clock.phase(), Phase::default());
                 return Ok(());
             }
-            let most = ReferenceClock::LONGEST_TICKS + tick as f64;
+            let most = ReferenceClock::LONGEST_TICKS + FASTEST_CLOCK * tick as f64;
             prop_assert!((0.0..=most).contains(&clock.phase.ticks));
         }
     }

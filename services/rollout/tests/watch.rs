@@ -5,6 +5,9 @@
 // A test reads its number of drives, and writes the file of a path.
 #![allow(clippy::disallowed_methods)]
 
+mod bends;
+
+use bends::own_path;
 use config::{Layers, Parameters, RunConfig};
 use ipc_types::Safety;
 use rollout::{Fault, FaultyCar, Rollout};
@@ -13,42 +16,6 @@ use tracking::{DriveRecord, EndReason};
 /// Numbers of drives: few by default.
 fn drives(default: u64) -> u64 {
     std::env::var("PATHTUNE_DRIVES").map_or(default, |text| text.parse().unwrap())
-}
-
-/// A path in points: `bends` gives the curvature of stretches in wheelbases.
-fn path_file(wheelbase_m: f64, speed_mps: f64, bends: &[(f64, f64)]) -> String {
-    let mut file = "x_m,y_m,v_mps\n0,0,SPEED\n".replace("SPEED", &speed_mps.to_string());
-    let (mut x, mut y, mut yaw) = (0.0f64, 0.0f64, 0.0f64);
-    for (length, curvature) in bends {
-        let step_m = 0.1 * wheelbase_m;
-        for _ in 0..(length / 0.1) as usize {
-            yaw += 0.5 * step_m * curvature / wheelbase_m;
-            (x, y) = (x + step_m * libm::cos(yaw), y + step_m * libm::sin(yaw));
-            yaw += 0.5 * step_m * curvature / wheelbase_m;
-            file += &format!("{x},{y},{speed_mps}\n");
-        }
-    }
-    file
-}
-
-/// A path of the size of the vehicle: a straight, a bend to the left, an S, and a straight.
-fn own_path(vehicle: &str, speed_mps: f64, sets: &[&str]) -> RunConfig {
-    let layers = || {
-        let mut layers = Layers::own_path();
-        layers.set_vehicle("test", vehicle).unwrap();
-        for set in sets {
-            layers.set(set).unwrap();
-        }
-        layers
-    };
-    let wheelbase_m = layers().resolve().unwrap().vehicle.wheelbase_m;
-    let bends = [(6.0, 0.0), (8.0, 0.2), (4.0, 0.0), (5.0, -0.25), (5.0, 0.25), (6.0, 0.0)];
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("path.csv");
-    std::fs::write(&file, path_file(wheelbase_m, speed_mps, &bends)).unwrap();
-    let mut layers = layers();
-    layers.add_path(&file).unwrap();
-    layers.resolve().unwrap()
 }
 
 fn maneuver(maneuver: &str, vehicle: &str, sets: &[&str]) -> RunConfig {
@@ -117,6 +84,10 @@ fn healthy_vehicles_are_not_stopped() {
     }
 }
 
+/// Steering that can be told from noise: as a mean over about this time, beyond this angle.
+const STEERED_OVER_S: f64 = 0.3;
+const CLEAR_RAD: f64 = 0.02;
+
 /// What became of a drive with a fault.
 struct Story {
     record: DriveRecord,
@@ -126,6 +97,8 @@ struct Story {
     told_s: Option<f64>,
     /// How far off the path it was then.
     told_m: f64,
+    /// The same time until there is any steering to see.
+    steers_s: Option<f64>,
     /// From the fault until the vehicle is being stopped, and until it stands.
     stopping_s: Option<f64>,
     stands_s: Option<f64>,
@@ -141,6 +114,8 @@ fn drive_car(config: &RunConfig, car: FaultyCar, from: u64, seed: u64) -> Story 
     let mut rollout = Rollout::around(car, config);
     let (mut path_max_m, mut told_m, mut driven_s) = (0.0f64, 0.0, 0.0);
     let (mut told_s, mut stopping_s, mut stands_s) = (None, None, None);
+    let (mut steers_s, mut steered_rad) = (None, 0.0);
+    let crawls_mps = (0.2 * config.vehicle.wheelbase_m).max(0.3);
     let seed = config.noise.enabled.then_some(seed);
     let record = rollout.drive_with(gains(), seed, |tick, it| {
         if tick < from {
@@ -151,15 +126,21 @@ fn drive_car(config: &RunConfig, car: FaultyCar, from: u64, seed: u64) -> Story 
         if it.observation.speed_mps > 0.05 {
             driven_s += tick_s;
         }
+        // Noise alone steers to and fro.
+        steered_rad += tick_s / STEERED_OVER_S * (it.passed.steering_rad - steered_rad);
+        if it.observation.speed_mps < crawls_mps {
+            steered_rad = 0.0;
+        }
         let set = |at: &mut Option<f64>, is: bool, now_s: f64| *at = at.or(is.then_some(now_s));
         if told_s.is_none() {
             told_m = path_max_m;
         }
         set(&mut told_s, it.gate.reasons & !Safety::ODOMETRY_JUMP != 0, driven_s);
+        set(&mut steers_s, steered_rad.abs() > CLEAR_RAD, driven_s);
         set(&mut stopping_s, it.gate.is_stopped, since_s);
         set(&mut stands_s, it.gate.stands, since_s);
     });
-    Story { record, path_max_m, told_s, told_m, stopping_s, stands_s }
+    Story { record, path_max_m, told_s, told_m, steers_s, stopping_s, stands_s }
 }
 
 /// The largest of some times, with how many there are.
@@ -223,11 +204,15 @@ fn faulty_vehicles_are_stopped_in_time() {
                 for story in &stories {
                     *ends.entry(format!("{:?}", story.record.reason)).or_insert(0) += 1;
                 }
+                // From when on there is any steering to see, and how much later it is told.
+                let later = |it: &Story| Some(it.told_s? - it.steers_s?);
                 println!(
-                    "| {vehicle} | {name} | {from} | {:.2} | {:.2} | {} | {} | {} | {ends:?} | {} | {} |",
+                    "| {vehicle} | {name} | {from} | {:.2} | {:.2} | {} | {} | {} | {} | {} | {ends:?} | {} | {} |",
                     stories.iter().map(|it| it.path_max_m).fold(0.0, f64::max),
                     stories.iter().map(|it| it.told_m).fold(0.0, f64::max),
                     times(|it| it.told_s),
+                    times(|it| it.steers_s),
+                    most(&stories.iter().map(later).collect::<Vec<_>>()),
                     times(|it| it.stopping_s),
                     times(|it| it.stands_s),
                     all(|it| it.stopped_for),

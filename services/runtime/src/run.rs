@@ -121,19 +121,42 @@ fn run_of_segment(name: &str) -> Option<u64> {
     u64::from_str_radix(digits, 16).ok()
 }
 
+/// Bytes in the path of a runtime folder: a socket's path has room for 108, of which the transport's names take 90.
+const LONGEST_FOLDER: usize = 18;
+
 /// The folder that holds the runs of this user.
 pub fn base_folder() -> PathBuf {
-    match std::env::var_os("XDG_RUNTIME_DIR").filter(|folder| !folder.is_empty()) {
-        // A socket's path has room for 108 bytes, of which the transport's names take 90.
-        Some(folder) if folder.len() <= 18 && Path::new(&folder).is_dir() => {
-            PathBuf::from(folder).join("pathtune")
-        }
-        _ => {
+    let named = named_folder().filter(|folder| why_not(folder).is_none());
+    match named {
+        Some(folder) => folder.join("pathtune"),
+        None => {
             let mut name = OsString::from("pathtune-");
             name.push(rustix::process::geteuid().as_raw().to_string());
             PathBuf::from("/tmp").join(name)
         }
     }
+}
+
+/// Why the folder that XDG_RUNTIME_DIR names is not used, and which one is: `None` if it is used, or names none.
+pub fn passed_over() -> Option<String> {
+    let folder = named_folder()?;
+    let why = why_not(&folder)?;
+    let base = base_folder();
+    Some(format!("XDG_RUNTIME_DIR={} {why}: runs are in {}", folder.display(), base.display()))
+}
+
+fn named_folder() -> Option<PathBuf> {
+    let folder = std::env::var_os("XDG_RUNTIME_DIR").filter(|folder| !folder.is_empty())?;
+    Some(PathBuf::from(folder))
+}
+
+fn why_not(folder: &Path) -> Option<String> {
+    let bytes = folder.as_os_str().len();
+    if bytes > LONGEST_FOLDER {
+        let room = format!("has {bytes} bytes, and a socket's path has room for {LONGEST_FOLDER}");
+        return Some(room);
+    }
+    (!folder.is_dir()).then(|| "is no folder".to_owned())
 }
 
 /// Makes a folder that only this user can enter, or checks that it is one.

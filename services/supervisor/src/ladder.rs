@@ -8,7 +8,8 @@
 //!
 //! While the steering loop stays closed, the reference must come to rest where the vehicle does; if it ran on, the law
 //! would steer for a place that the vehicle never reaches. So its clock comes to rest within the time in which a full
-//! brake brings the vehicle to rest.
+//! brake brings the vehicle to rest. A vehicle that drives on all the same runs away: then the reference goes along with it
+//! ([`Watch::clock_rate`](crate::Watch::clock_rate)).
 //!
 //! Time is the vehicle's, so that a drive is the same on every host.
 
@@ -98,6 +99,8 @@ pub struct Ladder {
     rested_s: f64,
     /// For how long pose or answers have been missing during an action, less the time with them since then.
     blind_s: f64,
+    /// It drives faster than an action allows for.
+    runs_away: bool,
     count: u64,
     brake_mps: f64,
     deceleration_mps2: f64,
@@ -116,6 +119,7 @@ impl Ladder {
             falls_per_s: 0.0,
             rested_s: 0.0,
             blind_s: 0.0,
+            runs_away: false,
             count: 0,
             brake_mps: BRAKE_MPS.max(-safety.reverse_limit_mps),
             deceleration_mps2: vehicle.brake_decel_mps2.min(safety.full_brake_mps2()),
@@ -137,6 +141,11 @@ impl Ladder {
     /// The share of its rate at which the reference's clock is to run on, 0 to 1.
     pub fn share(&self) -> f64 {
         self.share
+    }
+
+    /// Whether the vehicle drives on although it is braked, and the law goes on steering it.
+    pub fn runs_away(&self) -> bool {
+        self.runs_away && self.action.is_some_and(Action::is_steered)
     }
 
     /// The speed that is commanded for a full brake of a vehicle of this speed. What stands is not told to reverse.
@@ -164,10 +173,11 @@ impl Ladder {
         let wanted = match state {
             State::Normal => {
                 (self.action, self.share, self.rested_s, self.blind_s) = (None, 1.0, 0.0, 0.0);
+                self.runs_away = false;
                 return (Step::Pass, 0);
             }
             State::Stopped => {
-                self.share = 0.0;
+                (self.share, self.runs_away) = (0.0, false);
                 return (Step::Stand, 0);
             }
             // What is missing may come back within a moment.
@@ -189,6 +199,7 @@ impl Ladder {
         if self.action != before {
             self.count += 1;
         }
+        self.runs_away |= faults & Safety::SPEED_IGNORED != 0;
         self.slow_clock(dt_s, action, before.is_none(), speed_mps);
         let speed_mps = self.brake_mps(speed_mps);
         let step = match action {

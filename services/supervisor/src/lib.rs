@@ -19,6 +19,7 @@ mod pace;
 mod plausibility;
 mod response;
 mod road;
+mod runaway;
 #[cfg(feature = "process")]
 #[allow(clippy::disallowed_methods, clippy::disallowed_types, reason = "no pure core")]
 pub mod service;

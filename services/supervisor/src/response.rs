@@ -29,6 +29,10 @@ const STEERING_RAD: f64 = 0.05;
 /// smaller one leaves its path sooner, and less is too much, by the root of how much smaller it is.
 const REVERSED_RAD_S: f64 = 0.015;
 const ASTRAY_RAD_S: f64 = 0.05;
+/// So much steering to the other side than it was told is too much, on means that are not smoothed: wheels on their way over
+/// count as well, before they have come as far as they were told. It does not scale with the car: what it must allow for is
+/// a lag that no file states.
+const CONTRARY_RAD_S: f64 = 0.015;
 /// Of a vehicle that is being stopped because it does not drive as it should, a fifth of that is enough, and the wheels need
 /// not have come as far as they were told: that something is wrong is known by then, and the question is only whether
 /// steering helps.
@@ -228,15 +232,17 @@ impl Response {
         self.stands_s = if is_told_in_vain { self.stands_s + lasted_s } else { 0.0 };
 
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
-        self.faults =
-            flag(self.reversed_rad_s > self.reversed_limit_rad_s, Safety::STEERING_REVERSED)
-                | flag(self.astray_rad_s > self.astray_limit_rad_s, Safety::STEERING_IGNORED)
-                | flag(self.run_m > RUN_WHEELBASES * self.wheelbase_m, Safety::SPEED_IGNORED)
-                | flag(self.stands_s > self.may_stand_s, Safety::STANDS)
-                | flag(
-                    self.unseen.as_ref().is_some_and(Unseen::is_computed),
-                    Safety::STEERING_UNSEEN,
-                );
+        self.faults = flag(
+            self.reversed_rad_s > self.reversed_limit_rad_s || self.contrary_rad_s > CONTRARY_RAD_S,
+            Safety::STEERING_REVERSED,
+        ) | flag(
+            self.astray_rad_s > self.astray_limit_rad_s,
+            Safety::STEERING_IGNORED,
+        ) | flag(
+            self.run_m > RUN_WHEELBASES * self.wheelbase_m,
+            Safety::SPEED_IGNORED,
+        ) | flag(self.stands_s > self.may_stand_s, Safety::STANDS)
+            | flag(self.unseen.as_ref().is_some_and(Unseen::is_computed), Safety::STEERING_UNSEEN);
     }
 
     fn judge_steering(&mut self, told: f64, shown: f64, lasted_s: f64, weight: f64) {

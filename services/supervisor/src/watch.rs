@@ -2,9 +2,11 @@
 
 use config::RunConfig;
 use ipc_types::{Command, Safety};
+use tracking::Pose;
 
 use crate::area::Area;
 use crate::envelope::{Alarm, Envelope};
+use crate::runaway::Runaway;
 use crate::{
     Action, Deviation, Gate, Guard, Ladder, Movement, Passed, Plausibility, RawCommand, Response,
     SpeedGovernor, State, Step,
@@ -23,6 +25,10 @@ pub struct Watch {
     governor: SpeedGovernor,
     guard: Guard,
     ladder: Ladder,
+    /// `None` where nobody sees that a vehicle runs away.
+    runaway: Option<Runaway>,
+    /// The rate of the reference's clock beside a vehicle that runs away.
+    kept_rate: Option<f64>,
     /// What the ladder made of the last tick.
     step: Step,
     gate: Gate,
@@ -31,6 +37,9 @@ pub struct Watch {
     /// The last speed that was believed, and what the governor makes of it.
     speed_mps: f64,
     allowed_mps: f64,
+    /// The last pose that was believed, and where the reference is along the path.
+    pose: Pose,
+    along_m: f64,
     changed: u64,
     own: u64,
 }
@@ -47,11 +56,15 @@ impl Watch {
             governor: SpeedGovernor::new(config),
             guard: Guard::new(config),
             ladder: Ladder::new(config),
+            runaway: config.watches_response().then(|| Runaway::new(config)),
+            kept_rate: None,
             step: Step::Pass,
             gate: Gate::new(config),
             odometry_faults: 0,
             speed_mps: 0.0,
             allowed_mps: config.supervisor.speed_limit_mps,
+            pose: config.path.start.into(),
+            along_m: 0.0,
             changed: 0,
             own: 0,
         };
@@ -83,6 +96,7 @@ impl Watch {
     /// Tells where the reference of a tick is, along the path.
     #[inline]
     pub fn follow(&mut self, along_m: f64) {
+        self.along_m = along_m;
         if let Some(envelope) = &mut self.envelope {
             envelope.follow(along_m);
         }
@@ -121,6 +135,7 @@ impl Watch {
             self.speed_mps = movement.speed_mps;
         }
         if self.odometry_faults == 0 {
+            self.pose = movement.pose;
             self.allowed_mps = self.governor.allowed_mps(movement.speed_mps);
             if let Some(deviation) = &mut self.deviation {
                 deviation.see(movement.pose);
@@ -170,6 +185,7 @@ impl Watch {
             self.guard.stop(harder);
         }
         self.step = step;
+        self.keep_pace();
         let steering_rad = usable.map_or(f64::NAN, |usable| usable.steering_rad);
         let mut passed = match (step, usable) {
             (Step::Pass, Some(usable)) => self.gate.pass(dt_s, self.allowed_mps, usable),
@@ -197,6 +213,17 @@ impl Watch {
             envelope.tell(passed.steering_rad);
         }
         passed
+    }
+
+    /// The reference goes along with a vehicle that runs away.
+    fn keep_pace(&mut self) {
+        let Some(runaway) = &mut self.runaway else { return };
+        self.kept_rate = if self.ladder.runs_away() {
+            Some(runaway.clock_rate(self.pose, self.speed_mps, self.along_m))
+        } else {
+            runaway.lose();
+            None
+        };
     }
 
     /// The command at a moment `dt_s` after the last one, once the drive has ended: slower, and straight on. What is
@@ -252,7 +279,7 @@ impl Watch {
 
     /// The rate of the reference's clock from the next tick on, where it would be `pace` if all were well.
     pub fn clock_rate(&self, pace: f64) -> f64 {
-        pace * self.ladder.share()
+        self.kept_rate.unwrap_or(pace * self.ladder.share())
     }
 
     /// Lets a stopped vehicle drive again; returns whether it may. `faults` are those of the loop.

@@ -25,7 +25,7 @@ pub use laps::{Lap, LapRecorder};
 pub use objectives::Objective;
 pub use path::{Path, PathFollower, PathPoint};
 pub use record::{Covered, DriveRecord, DriveRecorder, EndReason, TickMeasures, state_distance};
-pub use reference::Reference;
+pub use reference::{FASTEST_CLOCK, Reference};
 pub use steering::{DelayLine, Part, SteeringActuator, SteeringChain, parts_of_tick};
 pub use zones::ZoneTracker;
 

@@ -6,6 +6,10 @@ use config::{Advance, RunConfig};
 
 use crate::{Path, Pose};
 
+/// The fastest that a reference's clock runs, in ticks of the clock in a tick of the vehicle. It runs faster than 1 only
+/// beside a vehicle that cannot be stopped.
+pub const FASTEST_CLOCK: f64 = 16.0;
+
 /// The pose that the vehicle should have, tick by tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reference {
