@@ -696,6 +696,8 @@ pub struct Vehicle {
     pub front_axle_to_cg_m: f64,
     pub cornering_stiffness_front_npr: f64,
     pub cornering_stiffness_rear_npr: f64,
+    #[serde(default)]
+    pub rear_slip_s2pm: f64,
     pub gear_engaged: bool,
     pub gear_drive_s: f64,
     pub gear_reverse_s: f64,

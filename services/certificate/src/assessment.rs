@@ -193,6 +193,12 @@ impl<'a> Subject<'a> {
         if vehicle.model == VehicleModel::Dynamic {
             return says("the tyres of this car slip (vehicle.model), the certified one's do not");
         }
+        if vehicle.rear_slip_s2pm != 0.0 {
+            return says(
+                "the rear tyres of this car slip (vehicle.rear_slip_s2pm), the certified one's do not; see Δ and the simulated \
+                 region",
+            );
+        }
         if vehicle.steering_delay_s > 0.0 || vehicle.steering_lag_s > 0.0 {
             return says("the steering has dead time or lag; see Δ and the simulated region");
         }

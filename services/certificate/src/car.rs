@@ -44,6 +44,14 @@ pub struct Car {
     pub steering_lag_s: f64,
     /// Angle of the road wheels per commanded angle.
     pub steering_gain: f64,
+    /// Slip angle of the rear axle per lateral acceleration, rad/(m/s²).
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub rear_slip_s2pm: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde wants it")]
+fn is_zero(number: &f64) -> bool {
+    *number == 0.0
 }
 
 impl Car {
@@ -63,6 +71,13 @@ impl Car {
             steering_delay_s: vehicle.steering_delay_s,
             steering_lag_s: vehicle.steering_lag_s,
             steering_gain: vehicle.steering_gain,
+            rear_slip_s2pm: vehicle.rear_slip_s2pm,
         }
+    }
+
+    /// How far the tracked point lies ahead of the one that moves where the car points, m: of the rear axle, or at a speed
+    /// at which its tyres slip, of a point ahead of it. Seen from there the loop is that of a car that does not slip.
+    pub fn tracked_m(&self, speed_mps: f64) -> f64 {
+        self.tracked_point_m - self.rear_slip_s2pm * speed_mps * speed_mps
     }
 }

@@ -61,7 +61,7 @@ pub fn joints(
     let Some(at) = Equilibrium::new(car, &gains, reference_mps, first.curvature) else {
         return Way::default();
     };
-    let (h, wheelbase, point) = (car.tick_s, car.wheelbase_m, car.tracked_point_m);
+    let (h, wheelbase, point) = (car.tick_s, car.wheelbase_m, car.tracked_m(reference_mps));
     let limit = car.steering_limit_rad;
     let reach = car.steering_rate_radps * h;
     let (mut x, mut y, mut heading) = (-at.lead_m, at.offset_m, at.heading_rad);

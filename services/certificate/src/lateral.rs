@@ -83,7 +83,7 @@ impl Wheels {
                 gain: car.steering_gain,
                 sideways: h * v,
                 turn: h * v / wheelbase,
-                shift: h * v * car.tracked_point_m / wheelbase + h * h * v * v / (2.0 * wheelbase),
+                shift: h * v * car.tracked_m(v) / wheelbase + h * h * v * v / (2.0 * wheelbase),
             }
         };
         let parts = parts_of_tick([car.steering_delay_s], car.tick_s);

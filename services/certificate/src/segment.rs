@@ -56,7 +56,7 @@ impl Equilibrium {
             let steering_rad = libm::atan(car.wheelbase_m * turning / at.speed_mps);
             let filter = (1.0 - ki) * steering_rad / (ki * car.tick_s);
             let offset_m = -((filter + ks * at.heading_rad) / kl + at.lead_m * sin) / cos;
-            let pushed = car.tracked_point_m * turning;
+            let pushed = car.tracked_m(reference_mps) * turning;
             let speed_mps = (reference_mps * (1.0 - curvature * offset_m) + pushed * sin) / cos;
             let lead_m = (speed_mps / kv + offset_m * sin) / cos;
             let heading_rad = libm::asin(-(pushed * cos + turning * lead_m) / speed_mps);

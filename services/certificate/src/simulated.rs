@@ -118,7 +118,7 @@ impl Simulated {
         let (h, v, lead) = (car.tick_s, at.speed_mps, at.lead_m);
         let (limit, rate) = (car.steering_limit_rad, car.steering_rate_radps);
         let turning = at.curvature * at.reference_mps;
-        let p = car.tracked_point_m;
+        let p = car.tracked_m(v);
         let mut offset = at.offset_m + from[0];
         let mut heading = at.heading_rad + from[1];
         let mut filter = (at.steering_rad + from[2]).clamp(-limit, limit);

@@ -105,7 +105,7 @@ impl SimulatedLaw {
             wheels += (share * (acting - wheels)).clamp(-reach, reach);
             let turned = h * seen.speed_mps * libm::tan(wheels) / car.wheelbase_m;
             let middle = heading_rad + 0.5 * turned;
-            let p = car.tracked_point_m;
+            let p = car.tracked_m(seen.speed_mps);
             offset_m += h * seen.speed_mps * libm::sin(middle)
                 + p * (libm::sin(heading_rad + turned) - libm::sin(heading_rad));
             heading_rad += turned;

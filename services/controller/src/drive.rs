@@ -8,7 +8,7 @@ use tracking::{
 
 use crate::clock::Phase;
 use crate::laws::{ControlLaw, LawState, RawCommand};
-use crate::sight::Sight;
+use crate::sight::{Points, Sight};
 
 /// What the controller sees of the vehicle at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,8 +79,7 @@ pub struct DriveController {
     goal_radius_m: f64,
     steering_limit_rad: f64,
     tick_s: f64,
-    tracked_point_m: f64,
-    wheelbase_m: f64,
+    points: Points,
 }
 
 impl DriveController {
@@ -108,8 +107,7 @@ impl DriveController {
             goal_radius_m: config.drive.goal_radius_m,
             steering_limit_rad: config.controller.steering_limit_rad,
             tick_s: config.drive.tick_s,
-            tracked_point_m: config.vehicle.tracked_point_m,
-            wheelbase_m: config.vehicle.wheelbase_m,
+            points: Points::new(&config.vehicle),
         }
     }
 
@@ -194,9 +192,13 @@ impl DriveController {
     pub fn tick(&mut self, phase: Phase, seen: Seen) -> Decision {
         let reference_pose = self.reference.advance(phase.ticks, seen.measured);
         let Seen { measured, speed_mps, yaw_rate_radps, truth, .. } = seen;
-        let sight =
-            Sight::of_vehicle(self.tracked_point_m, self.wheelbase_m, &self.reference, phase.ticks)
-                .with(reference_pose, measured, speed_mps, yaw_rate_radps, self.near_m);
+        let sight = Sight::of_vehicle(self.points, &self.reference, phase.ticks).with(
+            reference_pose,
+            measured,
+            speed_mps,
+            yaw_rate_radps,
+            self.near_m,
+        );
         let mut command = self.law.command(&self.parameters, &sight);
         command.speed_mps = command.speed_mps.min(self.reference.bound_mps());
         let error = sight.error;

@@ -2,8 +2,41 @@
 
 use std::cell::Cell;
 
-use config::RunConfig;
+use config::{RunConfig, Vehicle};
 use tracking::{Path, PathPoint, Pose, Reference, TrackingError, tracking_error};
+
+/// Where the points of a car lie that laws look at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Points {
+    /// The tracked point, ahead of the rear axle.
+    tracked_point_m: f64,
+    wheelbase_m: f64,
+    rear_slip_s2pm: f64,
+}
+
+impl Points {
+    /// Those of a vehicle.
+    pub(crate) fn new(vehicle: &Vehicle) -> Self {
+        Self {
+            tracked_point_m: vehicle.tracked_point_m,
+            wheelbase_m: vehicle.wheelbase_m,
+            rear_slip_s2pm: vehicle.rear_slip_s2pm,
+        }
+    }
+
+    /// How far the tracked point lies ahead of the one that moves where the car points. That is the rear axle; where its
+    /// tyres slip, a point ahead of it: a lateral acceleration of v·r moves the axle sideways at c·v·r times v, with the
+    /// slip c, and a point c·v² ahead of it by as much less. From there on a car that slips moves as one that does not.
+    #[inline]
+    pub(crate) fn tracked_m(&self, speed_mps: f64) -> f64 {
+        self.tracked_point_m - self.rear_slip_s2pm * speed_mps * speed_mps
+    }
+
+    /// Axle to axle.
+    pub(crate) fn wheelbase_m(&self) -> f64 {
+        self.wheelbase_m
+    }
+}
 
 /// What a control law may look at in one tick. Everything comes from the measured pose, never from the true one.
 ///
@@ -23,8 +56,7 @@ pub struct Sight<'a> {
     reference: &'a Reference,
     /// The time of the reference's clock, in ticks since it last started from rest.
     phase_ticks: f64,
-    tracked_point_m: f64,
-    wheelbase_m: f64,
+    points: Points,
     /// The lateness of the vehicle, where the sight is not one of the present moment.
     known_lateness_m: Option<f64>,
     /// Where the last projection was, along the path: the search for the next one starts from it.
@@ -46,8 +78,7 @@ impl<'a> Sight<'a> {
         speed_mps: f64,
         yaw_rate_radps: f64,
     ) -> Self {
-        let vehicle = &config.vehicle;
-        Self::of_vehicle(vehicle.tracked_point_m, vehicle.wheelbase_m, reference, phase_ticks).with(
+        Self::of_vehicle(Points::new(&config.vehicle), reference, phase_ticks).with(
             reference_pose,
             pose,
             speed_mps,
@@ -57,12 +88,7 @@ impl<'a> Sight<'a> {
     }
 
     #[inline]
-    pub(crate) fn of_vehicle(
-        tracked_point_m: f64,
-        wheelbase_m: f64,
-        reference: &'a Reference,
-        phase_ticks: f64,
-    ) -> Self {
+    pub(crate) fn of_vehicle(points: Points, reference: &'a Reference, phase_ticks: f64) -> Self {
         Self {
             error: TrackingError::default(),
             pose: Pose::default(),
@@ -71,8 +97,7 @@ impl<'a> Sight<'a> {
             reference_pose: Pose::default(),
             reference,
             phase_ticks,
-            tracked_point_m,
-            wheelbase_m,
+            points,
             known_lateness_m: None,
             near_m: Cell::new(0.0),
         }
@@ -124,7 +149,7 @@ impl<'a> Sight<'a> {
             pose.x_m,
             pose.y_m,
             self.near_m.get(),
-            self.wheelbase_m + Self::WINDOW_M,
+            self.wheelbase_m() + Self::WINDOW_M,
         );
         self.near_m.set(point.along_m);
         point
@@ -151,8 +176,13 @@ impl<'a> Sight<'a> {
         let near_m = self.near_m.get() + moved_m.copysign(self.speed_mps);
         Sight {
             known_lateness_m: Some(lateness_m),
-            ..Sight::of_vehicle(self.tracked_point_m, self.wheelbase_m, reference, phase_ticks)
-                .with(reference_pose, pose, self.speed_mps, self.yaw_rate_radps, near_m)
+            ..Sight::of_vehicle(self.points, reference, phase_ticks).with(
+                reference_pose,
+                pose,
+                self.speed_mps,
+                self.yaw_rate_radps,
+                near_m,
+            )
         }
     }
 
@@ -174,19 +204,25 @@ impl<'a> Sight<'a> {
         Pose { x_m: at.x, y_m: at.y, yaw_rad: pose.yaw_rad }
     }
 
-    /// Pose of the middle of the rear axle.
+    /// Pose of the middle of the rear axle. Where its tyres slip, that of the point ahead of it from which on the car moves as
+    /// one that does not slip.
     pub fn rear_axle(&self) -> Pose {
-        self.beside_tracked(-self.tracked_point_m)
+        self.beside_tracked(-self.tracked_m())
     }
 
-    /// Pose of the middle of the front axle.
+    /// Pose of the point a wheelbase ahead of [`Sight::rear_axle`]: the middle of the front axle, unless tyres slip.
     pub fn front_axle(&self) -> Pose {
-        self.beside_tracked(self.wheelbase_m - self.tracked_point_m)
+        self.beside_tracked(self.wheelbase_m() - self.tracked_m())
+    }
+
+    /// How far the tracked point lies ahead of [`Sight::rear_axle`], m.
+    pub fn tracked_m(&self) -> f64 {
+        self.points.tracked_m(self.speed_mps)
     }
 
     /// Axle to axle.
     pub fn wheelbase_m(&self) -> f64 {
-        self.wheelbase_m
+        self.points.wheelbase_m()
     }
 
     pub(crate) fn near_m(&self) -> f64 {

@@ -1,6 +1,6 @@
 //! From recorded drives to the values of a vehicle's file.
 
-use config::Vehicle;
+use config::{Vehicle, VehicleModel};
 use serde::Serialize;
 
 use crate::compared::{Compared, compared};
@@ -11,8 +11,9 @@ use crate::levenberg::robust_sd;
 use crate::prediction::{self, Car, FOLDS, Prediction, is_held_out};
 use crate::refusal::Refusal;
 use crate::rows::{
-    Row, delay_and_lag, limits_of_speed, limits_of_steering, speed_rows, steering_rows,
+    Row, delay_and_lag, limits_of_speed, limits_of_steering, slip_row, speed_rows, steering_rows,
 };
+use crate::slip::fit_slip;
 use crate::speed::Speed;
 use crate::steering::{self, HEADING, POSITION, Steering};
 
@@ -159,14 +160,16 @@ pub fn identify(
     }
     let point_m = options.point.of(vehicle);
     let undetermined = || Refusal::Undetermined;
+    let slip = slip_of(&chosen, vehicle, &|_| true);
     let measured = options.wheelbase_is_measured;
     let limits = limits_of_steering(vehicle);
-    let of_steering =
-        fit_steering(&chosen, vehicle, point_m, measured, &limits).ok_or_else(undetermined)?;
+    let of_steering = fit_steering(&chosen, &slipping(vehicle, &slip), point_m, measured, &limits)
+        .ok_or_else(undetermined)?;
     let steered = steering::to_vehicle(&of_steering.at, vehicle);
     let of_speed = fit_speed(&chosen, &steered, &limits_of_speed).ok_or_else(undetermined)?;
 
     let mut rows = steering_rows(&of_steering, vehicle, point_m, options);
+    rows.extend(slip);
     rows.extend(speed_rows(&of_speed, vehicle));
     let new = apply(vehicle, &rows, options);
 
@@ -208,7 +211,7 @@ pub fn identify(
         rows,
     };
     found.warnings = warnings(&found, &of_steering);
-    for row in found.rows.iter().filter(|row| !row.identified) {
+    for row in found.rows.iter().filter(|row| !row.identified && !row.agrees) {
         if let Some(next) = row.drive_next()
             && !found.drive_next.iter().any(|it| it == next)
         {
@@ -216,6 +219,23 @@ pub fn identify(
         }
     }
     Ok(found)
+}
+
+/// What blocks of the drive tell of the rear axle's slip, for a model that has such a key.
+fn slip_of(
+    stretches: &[Stretch],
+    vehicle: &Vehicle,
+    counts: &dyn Fn(usize) -> bool,
+) -> Option<Row> {
+    // The dynamic model's tyres slip by themselves.
+    let slips = vehicle.model == VehicleModel::Kinematic;
+    slips.then(|| slip_row(fit_slip(stretches, counts), vehicle))
+}
+
+/// The vehicle with the slip of a row.
+fn slipping(vehicle: &Vehicle, slip: &Option<Row>) -> Vehicle {
+    let rear_slip_s2pm = slip.as_ref().map_or(vehicle.rear_slip_s2pm, |row| row.after);
+    Vehicle { rear_slip_s2pm, ..vehicle.clone() }
 }
 
 /// Fits parts of the drive, and predicts the rest.
@@ -234,9 +254,11 @@ fn predict(
         let counts = |block: usize| !is_held_out(block, fold);
         let speed_at = refit(Speed::new(stretches, &steered), of_speed, &counts);
         let measured = options.wheelbase_is_measured;
-        let joint = Steering::new(stretches, vehicle, point_m, measured, true);
+        let slip = slip_of(stretches, vehicle, &counts);
+        let joint = Steering::new(stretches, &slipping(vehicle, &slip), point_m, measured, true);
         let steering_at = refit(joint, of_steering, &counts);
         let mut rows = steering_rows(&part(of_steering, steering_at), vehicle, point_m, options);
+        rows.extend(slip);
         rows.extend(speed_rows(&part(of_speed, speed_at), vehicle));
         let new = apply(vehicle, &rows, options);
         let (before, after) =
@@ -260,6 +282,7 @@ fn apply(vehicle: &Vehicle, rows: &[Row], options: Options) -> Vehicle {
             "steering_rate_radps" => &mut new.steering_rate_radps,
             "steering_offset_rad" => &mut new.steering_offset_rad,
             "steering_gain" => &mut new.steering_gain,
+            "rear_slip_s2pm" => &mut new.rear_slip_s2pm,
             "speed_delay_s" => &mut new.speed_delay_s,
             "speed_kp" => &mut new.speed_kp,
             "speed_ki" => &mut new.speed_ki,

@@ -24,6 +24,7 @@ mod levenberg;
 mod prediction;
 mod refusal;
 mod rows;
+mod slip;
 mod speed;
 mod steering;
 

@@ -207,6 +207,9 @@ pub(crate) fn way(
         let (sin, cos) = libm::sincos(yaw_rad + 0.5 * turned);
         rear_x += speed_mps * held_s * cos;
         rear_y += speed_mps * held_s * sin;
+        let out_m = car.vehicle.rear_slip_s2pm * speed_mps * speed_mps * turned;
+        rear_x += out_m * sin;
+        rear_y -= out_m * cos;
         yaw_rad += turned;
         let (sin, cos) = libm::sincos(yaw_rad);
         each(rear_x + car.point_m * cos, rear_y + car.point_m * sin);

@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use crate::fit::{Fitted, Told};
 use crate::identify::{Options, Point};
+use crate::slip::Slip;
 use crate::{speed, steering};
 
 /// A key of a vehicle's file.
@@ -28,6 +29,8 @@ pub struct Row {
     pub why: Option<String>,
     /// It is not identified, but the file's value does not fit the drive.
     pub contradicted: bool,
+    /// It keeps the file's value because the drive agrees with that, and would have told another one.
+    pub agrees: bool,
 }
 
 impl Row {
@@ -44,6 +47,7 @@ impl Row {
                 "large steering steps, at which the wheels turn as fast as they can"
             }
             "tracked_point_m" | "ros2.odometry_point_m" => "tight bends to both sides",
+            "rear_slip_s2pm" => "bends to both sides, slowly and as fast as it is to drive",
             "speed_delay_s" | "speed_kp" | "speed_ki" | "pedal_lag_s" | "drag_per_s"
             | "rolling_decel_mps2" => "steps of the commanded speed, up and down",
             "throttle_accel_mps2" => "a step of the commanded speed that needs full throttle",
@@ -115,6 +119,7 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
             only_with: None,
             why: Some(why),
             contradicted,
+            agrees: false,
         }
     };
     match told {
@@ -133,6 +138,7 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
                 only_with: None,
                 why: None,
                 contradicted: false,
+                agrees: false,
             }
         }
     }
@@ -182,6 +188,36 @@ pub(crate) fn steering_rows(
     ]
 }
 
+/// Half the width of the slip's interval from which on a drive tells nothing of it.
+const MOST_SLIP_S2PM: f64 = 0.002;
+
+/// The row of the rear axle's slip. The file's value stands unless the drive speaks against it: slip and the odometry's point
+/// are hard to tell apart, and a little of one that is not there is paid for by the other.
+pub(crate) fn slip_row(slip: Option<Slip>, vehicle: &Vehicle) -> Row {
+    let before = vehicle.rear_slip_s2pm;
+    let known = slip.filter(|it| it.half_s2pm <= MOST_SLIP_S2PM);
+    let half = known.or(slip).map_or(f64::INFINITY, |it| it.half_s2pm);
+    let told = known.filter(|it| it.at_s2pm > 0.0 && (it.at_s2pm - before).abs() > it.half_s2pm);
+    Row {
+        key: "rear_slip_s2pm",
+        before,
+        after: told.map_or(before, |it| rounded(it.at_s2pm, it.half_s2pm)),
+        interval: told.map(|it| [(it.at_s2pm - half).max(0.0), it.at_s2pm + half]),
+        identified: told.is_some(),
+        roughly: false,
+        only_with: None,
+        why: match (told, known) {
+            (Some(_), _) => None,
+            (None, Some(_)) => {
+                Some(format!("the drive agrees with the file's value, to ± {half:.4}"))
+            }
+            (None, None) => Some(format!("known to ± {half:.4} only")),
+        },
+        contradicted: false,
+        agrees: told.is_none() && known.is_some(),
+    }
+}
+
 fn not_negative(row: &mut Row) {
     if let Some([low, _]) = &mut row.interval {
         *low = low.max(0.0);
@@ -203,6 +239,7 @@ pub(crate) fn delay_and_lag(fitted: &Fitted, vehicle: &Vehicle) -> Row {
         only_with: None,
         why: None,
         contradicted: false,
+        agrees: false,
     }
 }
 

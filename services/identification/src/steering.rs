@@ -4,7 +4,8 @@
 //! out, and multiplied by a scale s) it gives
 //!
 //! - the yaw rate r = s·v·tan(δ)/L + b, where b is the bias of the gyro;
-//! - the pose in windows of 3 s: v and r − b integrated, seen at the odometry's point p ahead of the rear axle. Each window
+//! - the pose in windows of 3 s: v and r − b integrated, with a rear axle that slips as [`crate::slip`] has found, seen at
+//!   the odometry's point p ahead of it. Each window
 //!   is laid over the measured one, headings and positions, by the rigid motion that fits best (in closed form), so that
 //!   neither the start of the window nor drift counts.
 
@@ -263,7 +264,9 @@ impl Model for Steering<'_> {
                 let (x, y) = rest.split_at_mut(len);
                 let weights = &weights[first..first + 3 * len];
                 let (point_m, mounted_rad) = (at[POINT], at[MOUNTED]);
-                let track = Track { stretch, rates: &rates, scale, point_m, mounted_rad };
+                let slip_s2pm = self.vehicle.rear_slip_s2pm;
+                let track =
+                    Track { stretch, rates: &rates, scale, point_m, slip_s2pm, mounted_rad };
                 for window in windows(stretch) {
                     let range = window.range.clone();
                     if window.moves {
@@ -286,6 +289,7 @@ struct Track<'a> {
     rates: &'a [f64],
     scale: f64,
     point_m: f64,
+    slip_s2pm: f64,
     mounted_rad: f64,
 }
 
@@ -303,6 +307,9 @@ impl Track<'_> {
                 let (sin, cos) = libm::sincos(yaw_rad + 0.5 * turned);
                 rear_x += self.scale * speed * held_s * cos;
                 rear_y += self.scale * speed * held_s * sin;
+                let out_m = self.slip_s2pm * (self.scale * speed).powi(2) * turned;
+                rear_x += out_m * sin;
+                rear_y -= out_m * cos;
                 yaw_rad += turned;
             }
             let (sin, cos) = libm::sincos(yaw_rad);

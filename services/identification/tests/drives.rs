@@ -140,3 +140,33 @@ fn of_a_long_recording_some_minutes_are_fitted_and_it_repeats_bit_for_bit() {
     assert!((found.vehicle.wheelbase_m / car.wheelbase_m - 1.0).abs() < 0.01);
     assert_eq!(found, identify(&long, &file, Options::default()).unwrap());
 }
+
+#[test]
+fn rear_tyres_that_slip_are_found_by_fast_bends_and_others_are_left_alone() {
+    let mut dice = Dice::new(8);
+    let (mut car, mut file) = hidden_car(&mut dice);
+    // A car with linear tyres, of which the file knows nothing: c = m·a/(L·Cr), with a the way from the front axle to the
+    // centre of gravity.
+    car.model = config::VehicleModel::Dynamic;
+    car.front_axle_to_cg_m = 0.5 * car.wheelbase_m;
+    let slip_s2pm = car.mass_kg * 0.5 / car.cornering_stiffness_rear_npr;
+    file.model = config::VehicleModel::Kinematic;
+    let at = |base_mps: f64, car: &Vehicle, dice: &mut Dice| {
+        drive(car, EXCITATION_S, &SENSORS, dice, |time_s| excitation(time_s, 0.2, base_mps, 0.0))
+    };
+    let slip = |found: &identification::Identification| {
+        found.rows.iter().find(|row| row.key == "rear_slip_s2pm").unwrap().clone()
+    };
+    let found = identify(&[at(3.2, &car, &mut dice)], &file, Options::default()).unwrap();
+    let row = slip(&found);
+    let [low, high] = row.interval.unwrap();
+    assert!(low < slip_s2pm && slip_s2pm < high && high - low < 0.003, "{row:?} {slip_s2pm}");
+    assert_eq!(found.vehicle.rear_slip_s2pm.to_bits(), row.after.to_bits());
+    assert!((found.vehicle.tracked_point_m - car.tracked_point_m).abs() < 0.05);
+    // Tyres that do not slip are told to do as the file says, and nothing more has to be driven for them.
+    car.model = config::VehicleModel::Kinematic;
+    let found = identify(&[at(3.2, &car, &mut dice)], &file, Options::default()).unwrap();
+    let row = slip(&found);
+    assert!(!row.identified && row.agrees && row.after == 0.0, "{row:?}");
+    assert!(!found.drive_next.iter().any(|it| it.contains("as fast as")), "{:?}", found.drive_next);
+}

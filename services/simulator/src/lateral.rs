@@ -14,6 +14,9 @@ pub(crate) enum Lateral {
     Kinematic {
         /// Axle to axle.
         wheelbase_m: f64,
+        /// Slip angle of the rear axle per lateral acceleration, rad/(m/s²). Its side force is in balance at once: a lag
+        /// of some hundredths of a second, that of the tyres' slip, is left out.
+        rear_slip_s2pm: f64,
     },
     /// Linear tyres. Boxed, because it is four times as large.
     Dynamic(Box<DynamicSingleTrack>),
@@ -23,7 +26,10 @@ impl Lateral {
     /// The configured model, at rest.
     pub(crate) fn new(vehicle: &Vehicle) -> Self {
         match vehicle.model {
-            VehicleModel::Kinematic => Self::Kinematic { wheelbase_m: vehicle.wheelbase_m },
+            VehicleModel::Kinematic => Self::Kinematic {
+                wheelbase_m: vehicle.wheelbase_m,
+                rear_slip_s2pm: vehicle.rear_slip_s2pm,
+            },
             VehicleModel::Dynamic => Self::Dynamic(Box::new(DynamicSingleTrack::new(vehicle))),
         }
     }
@@ -44,13 +50,19 @@ impl Lateral {
         tick_s: f64,
     ) -> f64 {
         match self {
-            Self::Kinematic { wheelbase_m } => {
+            Self::Kinematic { wheelbase_m, rear_slip_s2pm } => {
                 let yaw_rate_radps = speed_mps * libm::tan(steering_rad) / *wheelbase_m;
                 let turned_rad = yaw_rate_radps * tick_s;
                 // The heading in the middle of the tick: exact to second order.
                 let middle_rad = rear_axle.yaw_rad + turned_rad / 2.0;
                 rear_axle.x_m += speed_mps * tick_s * libm::cos(middle_rad);
                 rear_axle.y_m += speed_mps * tick_s * libm::sin(middle_rad);
+                if *rear_slip_s2pm != 0.0 {
+                    // Outwards, as much as its tyres slip.
+                    let out_m = *rear_slip_s2pm * speed_mps * speed_mps * turned_rad;
+                    rear_axle.x_m += out_m * libm::sin(middle_rad);
+                    rear_axle.y_m -= out_m * libm::cos(middle_rad);
+                }
                 rear_axle.yaw_rad += turned_rad;
                 yaw_rate_radps
             }
@@ -229,6 +241,35 @@ mod tests {
         }
         let (_, radius_m) = steady(&dynamic(&[]), 0.01, 0.3);
         assert!((radius_m * libm::tan(0.3) / 2.875 - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_rear_axle_that_slips_drives_a_circle_outside_of_where_it_points() {
+        let vehicle = Vehicle { rear_slip_s2pm: 0.004, ..kinematic() };
+        for (speed_mps, steering_rad) in [(2.0, 0.3), (6.0, 0.1), (6.0, -0.1)] {
+            let (rate, radius_m) = steady(&vehicle, speed_mps, steering_rad);
+            assert!((rate * 2.875 / libm::tan(steering_rad) - speed_mps).abs() < 1e-12);
+            // It moves by the angle c·v·r beside its heading: forwards at v, outwards at c·v²·r.
+            let out = 0.004 * speed_mps * rate;
+            assert!((radius_m * rate / speed_mps - libm::sqrt(1.0 + out * out)).abs() < 1e-6);
+            // As the dynamic car's does, whose slip per acceleration is m·a/(L·Cr).
+            let slip_s2pm = 2035.0 * 1.4375 / (2.875 * 352_300.0);
+            let linear = dynamic(&[]);
+            let like = Vehicle { rear_slip_s2pm: slip_s2pm, ..kinematic() };
+            let beside = |vehicle: &Vehicle| {
+                let mut lateral = Lateral::new(vehicle);
+                let mut at = Pose::default();
+                let mut last = at;
+                for _ in 0..3000 {
+                    last = at;
+                    lateral.step(&mut at, speed_mps, steering_rad, 0.01);
+                }
+                let way_rad = libm::atan2(at.y_m - last.y_m, at.x_m - last.x_m);
+                tracking::wrap_angle(way_rad - 0.5 * (at.yaw_rad + last.yaw_rad))
+            };
+            // It understeers a little, which the kinematic one does not.
+            assert!((beside(&like) / beside(&linear) - 1.0).abs() < 0.05);
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@ pub const EXCITATION_S: f64 = 46.0;
 ///
 /// With A = `steering_rad`, v = `speed_mps` and all angles around `turn_rad`: 1 s standing; 3 s straight on at v; steering
 /// steps of A, −A, A/2 and −A/2, 2.5 s each; a sine of 0.48 A from 0.1 Hz to 1.5 Hz, 12 s; then speeds of 1.75 v, v, 2 v,
-/// 0.6 v and v, 4 s each.
+/// 0.6 v and v, 4 s each, at 1.75 v and 2 v with a sine of 0.72 A that takes 3 s.
 pub fn excitation(time_s: f64, steering_rad: f64, speed_mps: f64, turn_rad: f64) -> (f64, f64) {
     let (steering, speed) = match time_s {
         ..1.0 => return (0.0, 0.0),
@@ -24,7 +24,15 @@ pub fn excitation(time_s: f64, steering_rad: f64, speed_mps: f64, turn_rad: f64)
         }
         _ => {
             let speeds = [1.75, 1.0, 2.0, 0.6, 1.0];
-            (0.0, speeds[(((time_s - 26.0) / 4.0) as usize).min(4)])
+            // Fast bends tell how the tyres slip.
+            let bend =
+                |begin_s: f64| 0.72 * libm::sin(std::f64::consts::TAU * (time_s - begin_s) / 3.0);
+            let steering = match time_s {
+                27.0..30.0 => bend(27.0),
+                34.75..37.75 => bend(34.75),
+                _ => 0.0,
+            };
+            (steering, speeds[(((time_s - 26.0) / 4.0) as usize).min(4)])
         }
     };
     (turn_rad + steering_rad * steering, speed_mps * speed)
@@ -39,7 +47,7 @@ mod tests {
         assert_eq!(excitation(0.99, 0.25, 2.0, 0.2), (0.0, 0.0));
         assert_eq!(excitation(5.0, 0.25, 2.0, 0.0), (0.25, 2.0));
         assert_eq!(excitation(7.0, 0.25, 2.0, 0.2), (0.2 - 0.25, 2.0));
-        assert_eq!(excitation(35.0, 0.25, 2.0, 0.0), (0.0, 4.0));
+        assert_eq!(excitation(34.5, 0.25, 2.0, 0.0), (0.0, 4.0));
         assert_eq!(excitation(1e9, 0.25, 2.0, 0.0), (0.0, 2.0));
         for tick in 1400..2600 {
             let (steering_rad, speed_mps) = excitation(f64::from(tick) * 0.01, 0.25, 2.0, 0.0);

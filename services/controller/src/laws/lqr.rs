@@ -11,6 +11,7 @@ use tracking::tracking_error;
 
 use super::{HeldSteering, Law, LawState, RawCommand};
 use crate::Sight;
+use crate::sight::Points;
 
 /// The law with the steering angle of its last command, and its gains at the speeds that were driven.
 #[derive(Debug, Clone)]
@@ -34,9 +35,7 @@ struct GainTable {
 /// What the model knows of the car.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Car {
-    wheelbase_m: f64,
-    /// The tracked point, ahead of the rear axle.
-    tracked_m: f64,
+    points: Points,
     tick_s: f64,
 }
 
@@ -91,7 +90,8 @@ impl GainTable {
 ///
 /// and the cost Σ q_y·y² + q_ψ·ψ² + δ̃² + r·(u/T)². Returns K of u = −K·x.
 fn regulator(weights: Weights, speed_mps: f64, car: Car) -> Gains {
-    let Car { wheelbase_m, tracked_m, tick_s } = car;
+    let Car { points, tick_s } = car;
+    let (wheelbase_m, tracked_m) = (points.wheelbase_m(), points.tracked_m(speed_mps));
     /// Each step doubles the horizon: 2³⁰ ticks are for ever.
     const DOUBLINGS: usize = 30;
     const CLOSE: f64 = 1e-15;
@@ -130,11 +130,7 @@ impl Lqr {
 impl Law for Lqr {
     fn new(config: &RunConfig) -> Self {
         Self {
-            car: Car {
-                wheelbase_m: config.vehicle.wheelbase_m,
-                tracked_m: config.vehicle.tracked_point_m,
-                tick_s: config.drive.tick_s,
-            },
+            car: Car { points: Points::new(&config.vehicle), tick_s: config.drive.tick_s },
             nearest: config.law.settings.text("errors_at") != "reference",
             steering: HeldSteering::new(config),
             gains: Box::new(GainTable::new(config.supervisor.speed_limit_mps)),
@@ -173,7 +169,7 @@ impl Law for Lqr {
         };
         let weights = Weights { offset, heading, travel_s2 };
         let k = self.gains.at(weights, sight.speed_mps, self.car);
-        let Car { wheelbase_m, tracked_m, .. } = self.car;
+        let (wheelbase_m, tracked_m) = (sight.wheelbase_m(), sight.tracked_m());
         // No car can drive a circle that is smaller than the way from its rear axle to its tracked point.
         let sin = (tracked_m * curvature).clamp(-Self::STEEPEST, Self::STEEPEST);
         let circle_rad = libm::atan(wheelbase_m * curvature / (1.0 - sin * sin).sqrt());
@@ -192,7 +188,11 @@ mod tests {
     use config::Layers;
     use tracking::{Pose, Reference};
 
-    const CAR: Car = Car { wheelbase_m: 2.875, tracked_m: 1.2, tick_s: 0.01 };
+    /// L = 2.875 m, p = 1.2 m, T = 0.01 s.
+    fn car() -> Car {
+        let vehicle = config(&["vehicle.tracked_point_m=1.2"]).vehicle;
+        Car { points: Points::new(&vehicle), tick_s: 0.01 }
+    }
 
     /// Derived outside this project: `scipy.linalg.solve_discrete_are` of SciPy 1.17 with the matrices of
     /// [`regulator`]'s documentation, for L = 2.875 m, p = 1.2 m and T = 0.01 s.
@@ -200,7 +200,7 @@ mod tests {
     fn gains_are_those_of_an_independent_solver() {
         let check = |offset, heading, travel_s2, speed_mps, wanted: [f64; 3]| {
             let weights = Weights { offset, heading, travel_s2 };
-            let found = regulator(weights, speed_mps, CAR);
+            let found = regulator(weights, speed_mps, car());
             for (found, wanted) in found.iter().zip(wanted) {
                 assert!((found - wanted).abs() < 1e-9, "{speed_mps}: {found} {wanted}");
             }
@@ -235,7 +235,7 @@ mod tests {
                 for travel_s2 in corners(3) {
                     for speed_mps in [0.05, 0.5, 2.0, 10.0, 40.0] {
                         let weights = Weights { offset, heading, travel_s2 };
-                        let k = regulator(weights, speed_mps, CAR);
+                        let k = regulator(weights, speed_mps, car());
                         assert!(k.iter().all(|it| it.is_finite()), "{weights:?} {speed_mps}");
                         // The error decays on the car of the model: simulated until it had time to.
                         let mut x = Vector3::new(0.1, 0.0, 0.0);
@@ -272,7 +272,7 @@ mod tests {
         // The eighth of the table's speeds: 8 · limit / 64.
         let speed_mps = config.supervisor.speed_limit_mps / 8.0;
         let weights = Weights { offset: 1.0, heading: 1.0, travel_s2: 0.1 };
-        let car = Car { tracked_m: config.vehicle.tracked_point_m, ..CAR };
+        let car = Car { points: Points::new(&config.vehicle), tick_s: 0.01 };
         let k = regulator(weights, speed_mps, car);
         let mut law = Lqr::new(&config);
         law.restart(0.2);

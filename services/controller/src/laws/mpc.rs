@@ -17,7 +17,6 @@ use crate::quadratic::{Limits, N, Plan, Square, least};
 pub(super) struct Mpc {
     tick_s: f64,
     wheelbase_m: f64,
-    tracked_m: f64,
     steering_limit_rad: f64,
     steering_rate_radps: f64,
     /// Whether errors are measured at the nearest point of the path instead of against the moving reference.
@@ -38,6 +37,8 @@ struct Weights {
 #[derive(Debug, Clone, Copy)]
 struct Start {
     speed_mps: f64,
+    /// The tracked point, ahead of the one that moves where the car points.
+    tracked_m: f64,
     /// Of the tracked point, to the left of the path.
     offset_m: f64,
     /// To the left of the path's.
@@ -70,7 +71,7 @@ impl Mpc {
             let curvature = if step_m == 0.0 { 0.0 } else { turn_rad / step_m };
             let wanted_rad = libm::atan(self.wheelbase_m * curvature).clamp(-limit_rad, limit_rad);
             // On a circle the car points out of it, so that its tracked point stays on it.
-            let out_rad = libm::asin((self.tracked_m * curvature).clamp(-1.0, 1.0));
+            let out_rad = libm::asin((start.tracked_m * curvature).clamp(-1.0, 1.0));
             // The car's turn is `turned + slope · (mean angle of the step)`.
             let tan = libm::tan(wanted_rad);
             let slope = step_m / self.wheelbase_m * (1.0 + tan * tan);
@@ -84,7 +85,7 @@ impl Mpc {
                 turned += 0.5 * slope * start.steering_rad;
             }
             // Half of the turn counts for the way of this step; the tracked point swings out by all of it.
-            let swing_m = self.tracked_m + 0.5 * step_m;
+            let swing_m = start.tracked_m + 0.5 * step_m;
             y += step_m * psi + swing_m * turned - 0.5 * step_m * turn_rad;
             psi += turned - turn_rad;
             for j in 0..=k {
@@ -126,7 +127,6 @@ impl Law for Mpc {
         Self {
             tick_s: config.drive.tick_s,
             wheelbase_m: vehicle.wheelbase_m,
-            tracked_m: vehicle.tracked_point_m,
             steering_limit_rad: config.controller.steering_limit_rad,
             steering_rate_radps: vehicle
                 .steering_rate_radps
@@ -170,6 +170,7 @@ impl Law for Mpc {
         let last_rad = self.steering.angle_rad();
         let start = Start {
             speed_mps: sight.speed_mps,
+            tracked_m: sight.tracked_m(),
             // The path lies where the error says, seen from the car.
             offset_m: -error.cross_track_m * libm::cos(error.heading_rad)
                 + error.along_track_m * libm::sin(error.heading_rad),
@@ -219,7 +220,13 @@ mod tests {
             _ => -0.05,
         });
         check(
-            Start { speed_mps: 2.0, offset_m: 0.3, heading_rad: -0.1, steering_rad: 0.05 },
+            Start {
+                speed_mps: 2.0,
+                tracked_m: 0.7,
+                offset_m: 0.3,
+                heading_rad: -0.1,
+                steering_rad: 0.05,
+            },
             turns_rad,
             [
                 0.025627571585643875,
@@ -230,7 +237,13 @@ mod tests {
             ],
         );
         check(
-            Start { speed_mps: 3.0, offset_m: 5.0, heading_rad: 0.5, steering_rad: 0.1 },
+            Start {
+                speed_mps: 3.0,
+                tracked_m: 0.7,
+                offset_m: 5.0,
+                heading_rad: 0.5,
+                steering_rad: 0.1,
+            },
             [0.0; N],
             [0.04, -0.02, -0.26, -0.5235987755982988, -0.498479781974141],
         );
@@ -243,8 +256,9 @@ mod tests {
         let steering_rad = libm::atan(2.875 * curvature);
         let start = Start {
             speed_mps: 2.0,
+            tracked_m: 0.7,
             offset_m: 0.0,
-            heading_rad: -libm::asin(mpc.tracked_m * curvature),
+            heading_rad: -libm::asin(0.7 * curvature),
             steering_rad,
         };
         let plan = mpc.plan(WEIGHTS, start, &[0.2 * curvature; N]).unwrap();
@@ -256,7 +270,13 @@ mod tests {
     #[test]
     fn a_plan_keeps_to_the_limits_and_a_car_at_rest_does_not_steer() {
         let mpc = Mpc::new(&config(&[]));
-        let start = Start { speed_mps: 3.0, offset_m: 5.0, heading_rad: 0.5, steering_rad: 0.1 };
+        let start = Start {
+            speed_mps: 3.0,
+            tracked_m: 0.7,
+            offset_m: 5.0,
+            heading_rad: 0.5,
+            steering_rad: 0.1,
+        };
         let plan = mpc.plan(WEIGHTS, start, &[0.0; N]).unwrap();
         let mut last_rad = start.steering_rad;
         for angle_rad in plan {
@@ -278,7 +298,13 @@ mod tests {
         let sight = Sight::new(&config, &reference, 700.0, reference_pose, pose, 2.0, 0.0);
         let mut law = Mpc::new(&config);
         law.restart(0.2);
-        let start = Start { speed_mps: 2.0, offset_m: 0.5, heading_rad: 0.1, steering_rad: 0.2 };
+        let start = Start {
+            speed_mps: 2.0,
+            tracked_m: 0.7,
+            offset_m: 0.5,
+            heading_rad: 0.1,
+            steering_rad: 0.2,
+        };
         let plan = law.plan(WEIGHTS, start, &[0.0; N]).unwrap();
         let command = law.command(&Parameters::of(&[0.0, 1.0, 1.0, 0.1, 2.0]), &sight);
         let wanted_rad = 0.2 + 0.1 * (plan[0] - 0.2);

@@ -64,6 +64,7 @@ struct Kind {
     tick_s: f64,
     wheelbase_m: f64,
     tracked_point_m: f64,
+    rear_slip_s2pm: f64,
     rolls_mps: f64,
 }
 
@@ -131,6 +132,7 @@ impl Evidence {
                 tick_s: config.drive.tick_s,
                 wheelbase_m: vehicle.wheelbase_m,
                 tracked_point_m: vehicle.tracked_point_m,
+                rear_slip_s2pm: vehicle.rear_slip_s2pm,
                 rolls_mps: vehicle.safety.standstill_mps,
             }),
             steering: SteeringChain::new(vehicle, config.drive.tick_s),
@@ -205,6 +207,8 @@ impl Evidence {
             let square = middle_rad * middle_rad;
             x_m += moved_m * (1.0 - square / 2.0);
             y_m += moved_m * middle_rad * (1.0 - square / 6.0);
+            // Outwards, as much as the rear tyres slip.
+            y_m -= self.kind.rear_slip_s2pm * speed_mps * speed_mps * turned_rad;
             yaw_rad += turned_rad;
         }
         self.block.now = [x_m, y_m, yaw_rad];
