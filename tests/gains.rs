@@ -349,6 +349,30 @@ fn best_of_the_grid_never_arrives() {
     chosen_is_the_best_of_the_grid(|turn| [4.0 * libm::sin(turn), 2.0 * libm::sin(2.0 * turn)]);
 }
 
+/// README's "From nothing to a drive", in lockstep: it ends with gains in the car's file and a drive that arrives.
+#[test]
+fn from_nothing_to_a_drive() {
+    let sandbox = Sandbox::new();
+    let car = "base = \"f1tenth\"\nname = \"mine\"\nwheelbase_m = 0.33\nsteering_limit_rad = 0.41\n\
+               speed_limit_mps = 4.0\n";
+    fs::write(sandbox.path("car.toml"), car).unwrap();
+    let rows = (0..240).map(|it| oval(std::f64::consts::TAU * f64::from(it) / 240.0));
+    let rows: String = rows.map(|[x, y]| format!("{x:.4},{y:.4},2.0\n")).collect();
+    fs::write(sandbox.path("raceline.csv"), rows).unwrap();
+    let of = ["--path", "raceline.csv", "--vehicle", "car.toml", "--law", "pure_pursuit"];
+    let mut args = [&of[..], &["--over", "default", "--tuner", "sobol", "--drives", "24"]].concat();
+    let few = ["over.choosing=6", "robust.finalists=6", "robust.fresh=4", "ranking.max_ticks=1"];
+    few.iter().for_each(|set| args.extend(["--set", set]));
+    let tuned = sandbox.train("tuned", &args);
+    assert_eq!(tuned["plants"]["fragile"], Value::Null, "{}", tuned["plants"]);
+    let said = gains(&sandbox, &["promote", "tuned", "car.toml"]);
+    assert!(said.contains("raceline promoted for the path raceline ("), "{said}");
+    let driven = sandbox.json("driven", &[&["drive"], &of[..]].concat());
+    assert_eq!((&driven["arrived"], &driven["gains"][0]), (&true.into(), &tuned["gains"]));
+    assert!(driven["path_mean_m"].as_f64().unwrap() < 0.05, "{driven}");
+    sandbox.assert_clean();
+}
+
 #[test]
 fn each_path_and_law_has_gains_of_its_own() {
     let sandbox = Sandbox::new();

@@ -433,7 +433,7 @@ fn train_and_drive(sandbox: &Sandbox, car: &str, times: Option<u64>) {
         None => ["--tuner", "coordinate", "--drives", "24"],
     });
     if times.is_none() {
-        let few = ["over.repeats=1", "robust.finalists=1", "robust.repeats=2", "robust.fresh=2"];
+        let few = ["over.repeats=1", "over.choosing=6", "robust.finalists=1", "robust.fresh=2"];
         few.iter().for_each(|set| args.extend(["--set", set]));
     }
     let trained = sandbox.json("trained", &args);

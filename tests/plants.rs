@@ -27,7 +27,10 @@ fn a_training_over_plants_is_the_same_whatever_the_fleet_and_whoever_dies() {
         assert_eq!(other["digest"], alone["digest"], "{name}");
         assert_eq!(other["gains"], alone["gains"], "{name}");
         assert_eq!(other["plants"], alone["plants"], "{name}");
+        assert_eq!(other["noise"], alone["noise"], "{name}");
     }
+    // Without noise, too, others than the plants of the training chose, and yet others tell.
+    assert_eq!((&alone["noise"]["choosing"], &alone["noise"]["repeats"]), (&36.into(), &30.into()));
     assert_eq!(alone["plants"]["plants"].as_array().unwrap().len(), 3);
     // Another way to judge them together, another value.
     assert_ne!(train("worst", &["--over-by", "worst"])["value"], alone["value"]);
@@ -50,8 +53,7 @@ fn noise_over_plants_is_the_same_for_all_sets_whatever_the_fleet_and_whoever_die
     let sandbox = Sandbox::new();
     let plants = "[[plants]]\nname = \"as it is\"\n[[plants]]\nname = \"late\"\nadd = { steering_delay_s = 0.05 }\n";
     fs::write(sandbox.path("plants.toml"), plants).unwrap();
-    let sets =
-        ["drive.loop_time_s=8.0", "robust.finalists=2", "robust.repeats=2", "robust.fresh=4"];
+    let sets = ["drive.loop_time_s=8.0", "robust.finalists=2", "over.choosing=5", "robust.fresh=4"];
     let mut args =
         vec!["roundabout", "--noise", "--tuner", "gp", "--drives", "9", "--over", "plants.toml"];
     sets.iter().for_each(|set| args.extend(["--set", set]));
@@ -67,7 +69,7 @@ fn noise_over_plants_is_the_same_for_all_sets_whatever_the_fleet_and_whoever_die
     }
     assert_ne!(train("seed", &["--seed", "2"])["digest"], alone["digest"]);
     // What is told comes from plants that chose nothing.
-    assert_eq!((&alone["noise"]["choosing"], &alone["noise"]["repeats"]), (&4.into(), &4.into()));
+    assert_eq!((&alone["noise"]["choosing"], &alone["noise"]["repeats"]), (&5.into(), &4.into()));
     assert_eq!(alone["plants"]["fresh"]["noise"], true);
 
     // Plain calls come to the same, and each set was driven once: the same set with the same noise is the same drive.

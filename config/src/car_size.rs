@@ -15,14 +15,21 @@ const GOAL_WHEELBASES: f64 = 0.25;
 /// and as far as odometry is off that is no better than usual.
 const LEAST_GOAL_M: f64 = 0.05;
 
-/// Fits to the car the range of the learners' states, which is a length, the weight of a squared angle beside squared
-/// lengths, and the goal's radius.
+/// Fits to the car the additional dead time below which a set is fragile, and on a path of the user's own the range of the
+/// learners' states, which is a length, the weight of a squared angle beside squared lengths, and the goal's radius.
 pub(crate) fn scale_to_the_car(values: &mut Table, origins: &BTreeMap<String, String>) {
     let is_own_path =
         find(values, "maneuver").and_then(Value::as_str) == Some(crate::presets::OWN_PATH);
     let Some(wheelbase_m) = find(values, "vehicle.wheelbase_m").and_then(number) else { return };
     let ratio = wheelbase_m / FULL_SIZE_WHEELBASE_M;
-    if !(is_own_path && ratio > 0.0 && ratio.is_finite()) {
+    if !(ratio > 0.0 && ratio.is_finite()) {
+        return;
+    }
+    // A small car turns within less time, and shakes by less lateness only.
+    if ratio < 1.0 {
+        fit(values, origins, "over.fragile_below_s", &|it| it * ratio.sqrt());
+    }
+    if !is_own_path {
         return;
     }
     if ratio != 1.0 {
@@ -63,6 +70,22 @@ fn speed_at_goal_mps(values: &Table) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::Layers;
+
+    #[test]
+    fn a_small_car_may_have_less_additional_dead_time() {
+        let below_s = |maneuver: &str, sets: &[&str]| {
+            let mut layers = Layers::maneuver(maneuver).unwrap();
+            sets.iter().for_each(|set| layers.set(set).unwrap());
+            layers.resolve().unwrap().over.fragile_below_s
+        };
+        assert_eq!(below_s("roundabout", &[]), 0.2);
+        // A longer car gets no more, and a user's own number is kept.
+        assert_eq!(below_s("roundabout", &["vehicle.wheelbase_m=3.306"]), 0.2);
+        let small = ["vehicle_preset=f1tenth"];
+        assert!((below_s("smooth_lane", &small) - 0.0678).abs() < 1e-4);
+        let own = ["vehicle_preset=f1tenth", "over.fragile_below_s=0.15"];
+        assert_eq!(below_s("smooth_lane", &own), 0.15);
+    }
 
     #[test]
     fn the_goal_is_as_wide_as_the_car_is_long_and_fast_unless_somebody_set_it() {

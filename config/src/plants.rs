@@ -33,12 +33,25 @@ pub struct Over {
     pub by: OverBy,
     pub plants: Vec<PlantChange>,
     pub repeats: u32,
+    #[serde(default = "choosing_plants")]
+    pub choosing: u32,
     pub fragile_below_s: f64,
+}
+
+/// For configurations that were written before there was the key.
+fn choosing_plants() -> u32 {
+    Over::default().choosing
 }
 
 impl Default for Over {
     fn default() -> Self {
-        Self { by: OverBy::Nominal, plants: Vec::new(), repeats: 2, fragile_below_s: 0.2 }
+        Self {
+            by: OverBy::Nominal,
+            plants: Vec::new(),
+            repeats: 2,
+            choosing: 36,
+            fragile_below_s: 0.2,
+        }
     }
 }
 
@@ -294,9 +307,14 @@ impl RunConfig {
         }
     }
 
+    /// Whether each set is driven over plants.
+    pub fn is_over_plants(&self) -> bool {
+        self.over.by != OverBy::Nominal
+    }
+
     /// Whether each set is driven over plants, with noise.
     pub fn is_noisy_over_plants(&self) -> bool {
-        self.noise.enabled && self.over.by != OverBy::Nominal
+        self.noise.enabled && self.is_over_plants()
     }
 }
 
@@ -320,6 +338,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
             config.check_plant(change).map_err(key)?;
         }
     }
+    crate::validate::within("over.choosing", f64::from(config.over.choosing), 1.0, 1000.0)?;
     crate::validate::within("over.repeats", f64::from(config.over.repeats), 1.0, 100.0)
 }
 

@@ -207,8 +207,8 @@ pub(crate) fn validate(vehicle: &Vehicle) -> Result<(), Problem> {
     Ok(())
 }
 
-/// What no preset of a vehicle has, so that it is checked when it is parsed: tables of its file, and the list of borrowed
-/// keys of a resolved configuration.
+/// What not every preset of a vehicle has, so that it is checked when it is parsed: tables of its file, and the list of
+/// borrowed keys of a resolved configuration.
 pub(crate) const TABLES: [&str; 3] = ["noise", "uncertainty", "borrowed"];
 
 #[cfg(test)]
@@ -234,8 +234,10 @@ mod tests {
     fn noise_of_the_file_is_that_of_the_drives_unless_the_user_sets_another() {
         let config = with_vehicle(STATED, &[]).unwrap();
         assert_eq!((config.noise.enabled, config.noise.position_sd_m), (false, 0.02));
-        // Not stated: the default.
-        assert_eq!(config.noise.heading_half_width_rad, 0.088);
+        // Not stated: that of the preset on which the file is based, and without one the default.
+        assert_eq!(config.noise.heading_half_width_rad, 0.04);
+        let plain = Layers::maneuver("circuit").unwrap().resolve().unwrap();
+        assert_eq!(plain.noise.heading_half_width_rad, 0.088);
         let own = with_vehicle(STATED, &["noise.position_sd_m=0.07"]).unwrap();
         assert_eq!(own.noise.position_sd_m, 0.07);
         let text = toml::to_string(&config).unwrap();

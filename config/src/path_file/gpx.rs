@@ -14,16 +14,43 @@ pub(super) fn is_gpx(text: &str) -> bool {
 /// The points of a track, or else of a route.
 ///
 /// # Errors
-/// With the line of the first point that is incomplete, or without one if there are no points.
+/// With the line of the first point that is incomplete, or without one if there are no points; and with the line of a second
+/// track: two of them are two drives, and no line leads from one to the other.
 pub(super) fn points(text: &str) -> Result<Vec<GpxPoint>, (usize, String)> {
     let text = without_comments(text);
-    for tag in ["trkpt", "rtept"] {
+    for (tag, whole, words) in [("trkpt", "trk", "tracks"), ("rtept", "rte", "routes")] {
         let points = with_tag(&text, tag)?;
-        if !points.is_empty() {
-            return Ok(points);
+        if points.is_empty() {
+            continue;
         }
+        // Those that hold a point.
+        let open = format!("<{tag}");
+        let starts = starts(&text, whole);
+        let held: Vec<usize> = (0..starts.len())
+            .filter(|&at| {
+                let end = starts.get(at + 1).copied().unwrap_or(text.len());
+                text[starts[at]..end].contains(&open)
+            })
+            .collect();
+        if let [_, second, ..] = held[..] {
+            let lines = text[..starts[second]].bytes().filter(|byte| *byte == b'\n').count();
+            let problem = format!(
+                "begins the second of {} {words}, and a path is one; leave the one in the file that is to be driven",
+                held.len()
+            );
+            return Err((lines + 1, problem));
+        }
+        return Ok(points);
     }
     Err((1, "is a GPX file without points of a track (trkpt) or a route (rtept)".to_owned()))
+}
+
+/// Where elements of this name begin.
+fn starts(text: &str, name: &str) -> Vec<usize> {
+    let open = format!("<{name}");
+    let is_whole =
+        |at: &usize| text[at + open.len()..].starts_with(|c: char| c.is_whitespace() || c == '>');
+    text.match_indices(&open).map(|(at, _)| at).filter(is_whole).collect()
 }
 
 /// The text with its comments blanked, so that lines keep their numbers.
@@ -97,5 +124,21 @@ mod tests {
         let wrong = points("<gpx>\n<trkpt lat='91' lon='2'/></gpx>").unwrap_err();
         assert_eq!((wrong.0, wrong.1.contains("lat is \"91\"")), (2, true));
         assert!(points("<gpx><trkpt lat='1'></gpx>").unwrap_err().1.contains("without lon"));
+    }
+
+    #[test]
+    fn two_tracks_are_two_paths() {
+        let track = |lat: f64| {
+            format!(
+                "<trk><name>x</name><trkseg>\n<trkpt lat='{lat}' lon='1'/></trkseg>\n<trkseg><trkpt lat='2' lon='1'/></trkseg></trk>\n"
+            )
+        };
+        let two = points(&format!("<gpx>\n{}<trk></trk>{}</gpx>", track(1.0), track(1.5)));
+        let (line, problem) = two.unwrap_err();
+        assert_eq!(line, 5);
+        assert!(problem.contains("second of 2 tracks"), "{problem}");
+        // Parts of one, as where a receiver lost its satellites, and empty ones are no others.
+        let one = points(&format!("<gpx>{}<trk></trk></gpx>", track(1.0)));
+        assert_eq!(one.unwrap().len(), 2);
     }
 }

@@ -39,13 +39,14 @@ impl Unit {
 }
 
 /// The units that are understood, in words.
-pub(super) const UNITS: &str = "units are x_m, x_cm, x_mm, x_km, v_mps, v_kmh, v_mph";
+pub(super) const UNITS: &str = "units are x_m, x_cm, x_mm, x_km, x_ft, v_mps, v_kmh, v_mph";
 
-const LENGTHS: [(&[&str], Unit); 4] = [
+const LENGTHS: [(&[&str], Unit); 5] = [
     (&["m", "meter", "meters", "metre", "metres"], Unit::new("m", 1.0)),
     (&["cm"], Unit::new("cm", 0.01)),
     (&["mm"], Unit::new("mm", 0.001)),
     (&["km"], Unit::new("km", 1000.0)),
+    (&["ft", "foot", "feet"], Unit::new("ft", 0.3048)),
 ];
 const SPEEDS: [(&[&str], Unit); 3] = [
     (
@@ -58,7 +59,7 @@ const SPEEDS: [(&[&str], Unit); 3] = [
 const ANGLES: [(&[&str], Unit); 1] =
     [(&["deg", "degree", "degrees", "°"], Unit::new("degrees", 1.0))];
 /// Units that a coordinate or a speed may have elsewhere: better refused than taken for something else.
-const OTHERS: [&str; 10] = ["ft", "feet", "in", "inch", "px", "pixel", "rad", "yd", "kn", "knots"];
+const OTHERS: [&str; 8] = ["in", "inch", "px", "pixel", "rad", "yd", "kn", "knots"];
 
 /// Words that may stand beside x, y and a speed without changing what they are.
 const BESIDE: [&str; 34] = [
@@ -255,7 +256,7 @@ mod tests {
         ] {
             assert_eq!(unit(name), None, "{name}");
         }
-        assert_eq!(meaning("x_ft").unwrap().1, Err("ft".to_owned()));
+        assert_eq!(meaning("x_yd").unwrap().1, Err("yd".to_owned()));
         assert_eq!(meaning("speed [knots]").unwrap().1, Err("knots".to_owned()));
     }
 }

@@ -68,8 +68,10 @@ pub(super) fn guess(rows: &[Vec<f64>]) -> Result<Guess, String> {
     }
     let others =
         if columns == 3 { "column 3 is".to_owned() } else { format!("columns 3…{columns} are") };
+    // Which of several it is, only the user knows.
+    let which = if columns == 3 { "v=3" } else { "v=…" };
     let words = format!(
-        "no header: columns 1, 2 taken as x_m, y_m; {others} not read (a speed in m/s: --columns x=1,y=2,v=3)"
+        "no header: columns 1, 2 taken as x_m, y_m; {others} not read (a speed in m/s: --columns x=1,y=2,{which})"
     );
     taken(0, 1, None, words)
 }

@@ -213,10 +213,17 @@ impl Table<'_> {
                 }
                 Some(Ok(Some(unit))) => unit,
                 _ if role == Role::Speed && !is_speed_in_si(&name) && !of_ros => {
-                    let (x, y) = (self.place(&used, Role::X), self.place(&used, Role::Y));
+                    let is_flat = used.iter().any(|it| it.role == Role::X);
+                    let of_place = match is_flat {
+                        true => [("x", Role::X), ("y", Role::Y)],
+                        false => [("lat", Role::Lat), ("lon", Role::Lon)],
+                    };
+                    let places =
+                        of_place.map(|(word, of)| format!("{word}={}", self.place(&used, of)));
                     let problem = format!(
                         "names {name} without a unit (Autoware.AI writes km/h, others m/s); say it, as --columns \
-                         x={x},y={y},v_mps={0} or v_kmh={0}, or leave the speed out",
+                         {},v_mps={1} or v_kmh={1}, or leave the speed out",
+                        places.join(","),
                         index + 1
                     );
                     return Err(self.fails(header.0, problem));

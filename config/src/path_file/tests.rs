@@ -28,7 +28,8 @@ fn every_mistake_names_its_line_and_the_way_out() {
     check("a,b\n1,2", &["p.csv:1:", "no columns x_m and y_m", "\"a, b\"", "--columns"]);
     check("1\n2\n3", &["p.csv:1:", "one column"]);
     check("x,y,speed\n0,0,2\n1,0,2\n", &["p.csv:1:", "speed without a unit", "v_mps=3", "v_kmh=3"]);
-    check("x_ft,y_ft\n0,0\n1,0\n", &["p.csv:1:", "in ft", "--columns"]);
+    check("x_yd,y_yd\n0,0\n1,0\n", &["p.csv:1:", "in yd", "--columns"]);
+    check("lat,lon,speed\n48,11,2\n48,11.01,2\n", &["p.csv:1:", "lat=1,lon=2,v_mps=3"]);
     check("x,pos_x,ref_x,y\n", &["p.csv:1:", "no points"]);
     check("pos_x,ref_x,y\n0,0,0\n1,1,0\n", &["p.csv:1:", "pos_x, ref_x", "--columns"]);
     check("x_m,z_m\n1,2", &["no column y_m", "\"x_m, z_m\""]);
@@ -150,7 +151,11 @@ fn tables_of_many_tools_are_read_and_told() {
         &[],
         "column 3 is not read (a speed in m/s: --columns x=1,y=2,v=3)",
     );
-    check("1,2,1.1,1.2\n3,-4.5,1.1,1.2\n", &[], "columns 3…4 are not read");
+    check(
+        "1,2,1.1,1.2\n3,-4.5,1.1,1.2\n",
+        &[],
+        "columns 3…4 are not read (a speed in m/s: --columns x=1,y=2,v=…)",
+    );
     check("1,2,0,0,0,0.6,0.8\n3,-4.5,0,0,0,0,1\n", &[], "quaternion in columns 4…7");
     check(
         "1700000000.1 1 2 0 0 0 0.6 0.8\n1700000000.2 3 -4.5 0 0 0 0 1\n",
@@ -185,6 +190,8 @@ fn tables_of_many_tools_are_read_and_told() {
         &[],
         "the left edge from w_tr_left_m",
     );
+    let feet = read("x_ft,y_ft\n0,0\n100,0\n").unwrap();
+    assert!((feet.points[1][0] - 30.48).abs() < 1e-9, "{feet:?}");
     let old = "x,y\r1,2\r3,-4.5\r";
     check(old, &[], "x_m from x");
 }
@@ -228,7 +235,7 @@ fn columns_are_those_that_the_user_names() {
         ("x=1,y=0", "counted from 1"),
         ("x=1,y=2,x=3", "twice"),
         ("x,y", "no assignment"),
-        ("x_ft=1,y=2", "unit ft"),
+        ("x_yd=1,y=2", "unit yd"),
         ("w=1,y=2", "none of x, y, v"),
     ] {
         let why = text.parse::<Columns>().unwrap_err();

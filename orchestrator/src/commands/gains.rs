@@ -19,7 +19,7 @@ use crate::commands::envelopes::TakenAlong;
 use crate::runs::vehicle_file::VehicleFile;
 use crate::runs::{preflight, resolved_config};
 use crate::words::Failure;
-use crate::words::plants::margin as said;
+use crate::words::plants::{self as words_of_plants, margin as said};
 use crate::words::tables::{digits, set_cells, table_of, trim};
 use crate::words::terminal::{say, tell};
 
@@ -257,8 +257,9 @@ fn promote(
         && !force
     {
         return Err(Failure::User(format!(
-            "{}: the set is fragile, {why}; for a steadier one train with --over default or with another law; or insist with --force",
-            run.display()
+            "{}: the set is fragile, {why}; {}; or insist with --force",
+            run.display(),
+            words_of_plants::steadier(trained.config.is_over_plants())
         )));
     }
     let along = trained.envelope(run, file, &vehicle, maneuver);

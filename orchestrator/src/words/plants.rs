@@ -40,7 +40,7 @@ pub(super) fn print(it: &PlantCheck, config: &RunConfig) -> Result<(), Failure> 
     if let Some(line) = it.margin.as_ref().map(margin) {
         say!("{line}");
     }
-    say!("{}", verdict(it));
+    say!("{}", verdict(it, config.is_over_plants()));
     let fresh = &it.fresh;
     let missing = match fresh.not_arrived {
         count if count > 0 && config.is_to_arrive() => format!(", {count} did not arrive"),
@@ -110,11 +110,22 @@ pub(crate) fn margin(it: &Margin) -> String {
     late + &regions(it)
 }
 
+/// What helps where a set is fragile. A training over plants chooses one that is not, if it has driven one.
+pub(crate) fn steadier(is_over_plants: bool) -> &'static str {
+    if is_over_plants {
+        "none of the best sets that were driven over plants holds: drive more slowly (reference.speed_mps, or the path's \
+         speeds), or train another law, as in --law pure_pursuit"
+    } else {
+        "train with --over default or with another law, or take a steadier set"
+    }
+}
+
 /// Whether the set is fragile, and why.
-pub(crate) fn verdict(it: &PlantCheck) -> String {
+pub(crate) fn verdict(it: &PlantCheck, is_over_plants: bool) -> String {
     match &it.fragile {
         Some(why) => format!(
-            "the set is fragile: {why}. It may shake on the car; train with --over default or with another law, or take a steadier set"
+            "the set is fragile: {why}. It may shake on the car; {}",
+            steadier(is_over_plants)
         ),
         None => {
             let known = it.margin.as_ref().and_then(|it| it.additional_dead_time_s);

@@ -2,8 +2,8 @@
 
 use config::{NamedParameters, RunConfig};
 use outcome::{
-    Comparison, Interval, Measures, NoiseChoice, RunResult, SetStanding, Spread, TrainResult,
-    VehicleDrives, Verdict,
+    Comparison, Finalist, Interval, Measures, NoiseChoice, RunResult, SetStanding, Spread,
+    TrainResult, VehicleDrives, Verdict,
 };
 
 use crate::words::tables::{
@@ -197,6 +197,34 @@ fn print_vehicle_drives(
     Ok(())
 }
 
+/// Says what a choice over plants left aside.
+fn print_choice_over_plants(
+    noise: &NoiseChoice,
+    chosen: &Finalist,
+    config: &RunConfig,
+) -> Result<(), Failure> {
+    if chosen.not_arrived > 0 {
+        say!(
+            "it did not arrive on {} of the {} plants that chose, and no other of these sets on fewer",
+            chosen.not_arrived,
+            noise.choosing
+        );
+    }
+    let objective = &config.objective.name;
+    let is_nearer =
+        |it: &&Finalist| it.fragile && it.visits > 0 && it.mean_value < chosen.mean_value;
+    let nearer = noise.finalists.iter().filter(is_nearer);
+    let nearer = nearer.min_by(|a, b| a.mean_value.total_cmp(&b.mean_value));
+    if let (false, Some(other)) = (chosen.fragile, nearer) {
+        say!(
+            "better on the fresh plants, but fragile: {} with mean {objective} {}",
+            plants::named(&other.gains),
+            digits(other.mean_value, 4)
+        );
+    }
+    Ok(())
+}
+
 /// Prints how the set was chosen by means, and how certain that choice is. `rank` is its place, and among how many.
 fn print_choice_by_means(
     noise: &NoiseChoice,
@@ -205,24 +233,34 @@ fn print_choice_by_means(
 ) -> Result<(), Failure> {
     let Some(chosen) = noise.finalists.first() else { return Ok(()) };
     let objective = &config.objective.name;
-    let drives = if config.plants() > 1 { "fresh plants" } else { "drives" };
+    let is_over_plants = config.is_over_plants();
+    let drives = if is_over_plants { "fresh plants" } else { "drives" };
     let under_noise = if config.noise.enabled { "under noise: " } else { "" };
     say!(
-        "{under_noise}mean {objective} {} [{}, {}] over {} {drives}{}; it was the best of {} sets in {} drives each",
+        "{under_noise}mean {objective} {} [{}, {}] over {} {drives}{}; it was the {} of {} sets {}",
         digits(chosen.mean_value, 4),
         digits(chosen.low, 4),
         digits(chosen.high, 4),
         noise.repeats,
-        if config.noise.enabled { " that chose nothing" } else { "" },
+        if config.noise.enabled || is_over_plants { " that chose nothing" } else { "" },
+        if is_over_plants { "first" } else { "best" },
         noise.finalists.len(),
-        noise.choosing,
+        match is_over_plants {
+            true => format!("on {} other plants", noise.choosing),
+            false => format!("in {} drives each", noise.choosing),
+        },
     );
+    if is_over_plants {
+        print_choice_over_plants(noise, chosen, config)?;
+    }
     if config.noise.enabled && config.vehicle.gear_engaged {
         say!("all drives, noise-free ones too, began with the drive gear engaged");
     }
-    // Without noise there is nothing that two drives have in common.
-    let (paired, same) =
-        if config.noise.enabled { ("paired ", "the same ") } else { ("", "each one's ") };
+    // Without noise and plants there is nothing that two drives have in common.
+    let (paired, same) = match config.noise.enabled || is_over_plants {
+        true => ("paired ", "the same "),
+        false => ("", "each one's "),
+    };
     let against = |name: &str, it: &Comparison| -> Result<(), Failure> {
         if it.gains == chosen.gains {
             return Ok(());
@@ -241,7 +279,9 @@ fn print_choice_by_means(
         );
         Ok(())
     };
-    against("what single drives recommend", &noise.against_recommended)?;
+    let recommended =
+        if is_over_plants { "what the training's plants" } else { "what single drives" };
+    against(&format!("{recommended} recommend"), &noise.against_recommended)?;
     if let Some(paper) = &noise.against_paper {
         against("the paper's set", paper)?;
     }

@@ -78,6 +78,10 @@ pub struct DriveController {
     wait_limit_ticks: f64,
     goal_radius_m: f64,
     steering_limit_rad: f64,
+    /// How far the gate lets the steering angle turn in a tick.
+    turn_limit_rad: f64,
+    /// The steering angle as the gate lets it through.
+    passed_rad: f64,
     tick_s: f64,
     points: Points,
 }
@@ -106,6 +110,8 @@ impl DriveController {
             wait_limit_ticks: config.reference.wait_limit_s / config.drive.tick_s,
             goal_radius_m: config.drive.goal_radius_m,
             steering_limit_rad: config.controller.steering_limit_rad,
+            turn_limit_rad: config.vehicle.safety.steering_rate_limit_radps * config.drive.tick_s,
+            passed_rad: 0.0,
             tick_s: config.drive.tick_s,
             points: Points::new(&config.vehicle),
         }
@@ -124,6 +130,7 @@ impl DriveController {
         self.covered_in_time = None;
         self.gate = GateWord::default();
         (self.stopped_for, self.slowed_for, self.stop_ticks) = (0, 0, 0);
+        self.passed_rad = 0.0;
     }
 
     /// Takes what the gate has reported since the last tick.
@@ -152,6 +159,7 @@ impl DriveController {
             Some(state) => self.law.resume(state),
             None => self.law.restart(steering_rad),
         }
+        self.passed_rad = steering_rad;
     }
 
     /// Lets the reference's clock start again from rest, where the vehicle stands: at its projection on the path. The
@@ -162,6 +170,7 @@ impl DriveController {
         self.reference.restart_at(along_m);
         self.look_around(along_m);
         self.law.restart(steering_rad);
+        self.passed_rad = steering_rad;
     }
 
     /// The next projection is looked for around this place.
@@ -204,13 +213,17 @@ impl DriveController {
         let error = sight.error;
         self.near_m = sight.near_m();
 
+        // What a law asks for in vain moves no wheel.
+        let reach_rad = self.turn_limit_rad;
+        self.passed_rad =
+            command.steering_rad.clamp(self.passed_rad - reach_rad, self.passed_rad + reach_rad);
         let scored = truth.unwrap_or(measured);
         let path_distance_m =
             self.follower.distance_m(self.reference.path(), scored.x_m, scored.y_m);
         self.recorder.add(TickMeasures {
             error: truth.map_or(error, |truth| tracking_error(reference_pose, truth)),
             path_distance_m,
-            steering_rad: command.steering_rad,
+            steering_rad: self.passed_rad,
             steering_limited: command.steering_rad.abs() >= self.steering_limit_rad,
             lateral_acceleration_mps2: speed_mps * yaw_rate_radps,
         });
@@ -383,6 +396,27 @@ mod tests {
         let ended =
             drive.tick(Phase::default(), Seen { collision: true, ..still(0.0) }).ended.unwrap();
         assert_eq!(ended.reason, EndReason::Collision);
+    }
+
+    #[test]
+    fn the_steering_travels_as_far_as_the_gate_lets_it() {
+        let travel = |limit_radps: &str| {
+            let limit = format!("vehicle.safety.steering_rate_limit_radps={limit_radps}");
+            let mut drive = drive(&["drive.loop_time_s=1.0", &limit]);
+            drive.reset(Parameters::of(&[3.0, 21.0, 21.0, 0.7]), 100);
+            let at = |tick: u64| {
+                // To the left and to the right of the path in turn.
+                let y_m = if tick.is_multiple_of(2) { 0.5 } else { -0.5 };
+                Seen { measured: Pose { y_m, ..Pose::default() }, speed_mps: 1.0, ..still(0.0) }
+            };
+            let end = (0..100).find_map(|tick| drive.tick(Phase::from(tick), at(tick)).ended);
+            let record = end.unwrap();
+            (record.steering_travel_radps, record.steering_rate_p95_radps)
+        };
+        let (free, limited) = (travel("inf"), travel("0.3"));
+        assert!(free.0 > 1.0, "{free:?}");
+        assert!(limited.0 > 0.1 && limited.0 <= 0.3 + 1e-6, "{limited:?}");
+        assert!(limited.1 <= 0.3 + 1e-6, "{limited:?}");
     }
 
     #[test]

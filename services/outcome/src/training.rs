@@ -212,13 +212,13 @@ pub struct Usage {
     pub count: u64,
 }
 
-/// How the set was chosen by means over several drives.
+/// How the set was chosen by several drives: under noise, over plants, or with a vehicle that does not repeat itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NoiseChoice {
-    /// Drives of each finalist over which means, intervals and differences are taken; under noise none of them chose. In a
-    /// training over plants each is on a plant that was drawn anew.
+    /// Drives of each finalist over which means, intervals and differences are taken; under noise and over plants none of
+    /// them chose. In a training over plants each is on a plant that was drawn anew.
     pub repeats: u64,
-    /// Drives of each finalist by which one was chosen.
+    /// Drives of each finalist by which one was chosen; over plants each is on a plant that was drawn anew.
     #[serde(default)]
     pub choosing: u64,
     /// Noise seeds over which the chosen set is ranked.
@@ -245,6 +245,12 @@ pub struct Finalist {
     pub high: f64,
     /// Drives of the training with this set.
     pub visits: u32,
+    /// Over plants, and where drives are to arrive: the plants among those that chose with which it did not.
+    #[serde(default)]
+    pub not_arrived: u64,
+    /// Over plants: whether the set is fragile, and therefore ranks behind those that are not.
+    #[serde(default)]
+    pub fragile: bool,
 }
 
 /// The chosen set against another one, by drives with the same noise.

@@ -44,7 +44,7 @@ pub(crate) fn section(beside: &Baselines, train: &TrainResult, config: &RunConfi
                 (row("tuned", tuned, parameters_text(&config.law, &train.gains)))
             },
         ))
-        p { "Driven by our simulator, without noise; steering travel is the mean absolute rate of the commanded steering angle." }
+        p { "Driven by our simulator, without noise; steering travel is the mean absolute rate of the steering angle that the gate passes." }
     }
 }
 

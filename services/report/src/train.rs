@@ -357,7 +357,7 @@ fn finalists(
     config: &RunConfig,
 ) -> Result<Markup, ReportError> {
     let law = &config.law;
-    let is_noisy = config.noise.enabled;
+    let (is_noisy, is_over_plants) = (config.noise.enabled, config.is_over_plants());
     let title = objective_title(config);
     let finalists = &noise.finalists;
     let figure = if finalists.is_empty() {
@@ -387,11 +387,17 @@ fn finalists(
     };
     Ok(html! {
         p {
-            "Each finalist was driven again" @if is_noisy { " under noise" } ", " (integer(noise.choosing)) " times"
-            @if is_noisy { ", each time with the same noise for all of them" }
-            ", and the set with the best mean was chosen."
-            @if is_noisy {
-                " The figures below are of " (integer(noise.repeats)) " further " @if config.plants() > 1 { "plants, drawn anew" } @else { "drives of each" }
+            @if is_over_plants {
+                "Each finalist was driven" @if is_noisy { " under noise" } " on " (integer(noise.choosing))
+                " plants that were drawn anew, the same for all of them. The set was chosen that arrives on the most of them, \
+                 is not fragile, and has the best mean, in this order."
+            } @else {
+                "Each finalist was driven again" @if is_noisy { " under noise" } ", " (integer(noise.choosing)) " times"
+                @if is_noisy { ", each time with the same noise for all of them" }
+                ", and the set with the best mean was chosen."
+            }
+            @if is_noisy || is_over_plants {
+                " The figures below are of " (integer(noise.repeats)) " further " @if is_over_plants { "plants" } @else { "drives of each" }
                 ", which chose nothing."
             }
             @if has_rank { " Its rank by the mean is over " (integer(noise.holdout.into())) " other noise seeds." }

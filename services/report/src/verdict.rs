@@ -88,9 +88,10 @@ fn evidence(train: &TrainResult, config: &RunConfig) -> String {
     };
     let drives = format!("{} sets that were driven{plants}", integer(train.distinct));
     let noise = match &train.noise {
-        Some(noise) if config.noise.enabled => {
-            let on = if config.plants() > 1 { " on fresh plants" } else { "" };
-            format!("; {} noisy drives{on} that chose nothing", noise.repeats)
+        Some(noise) if config.noise.enabled || config.is_over_plants() => {
+            let noisy = if config.noise.enabled { "noisy " } else { "" };
+            let on = if config.is_over_plants() { " on fresh plants" } else { "" };
+            format!("; {} {noisy}drives{on} that chose nothing", noise.repeats)
         }
         Some(noise) => format!("; {} more drives of each finalist", noise.repeats),
         None if config.noise.enabled => String::new(),

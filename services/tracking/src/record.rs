@@ -60,9 +60,9 @@ pub struct DriveRecord {
     /// Share of the path, 0 to 1, that had been covered when the reference reached its end, or when the drive ended if
     /// that was earlier: how well the vehicle keeps up.
     pub progress_in_time: f64,
-    /// Mean absolute rate of the commanded steering angle.
+    /// Mean absolute rate of the steering angle that is commanded, as the gate's limit lets it through.
     pub steering_travel_radps: f64,
-    /// The absolute rate of the commanded steering angle that 95 % of the ticks do not exceed.
+    /// The absolute rate of that angle that 95 % of the ticks do not exceed.
     pub steering_rate_p95_radps: f64,
     /// The absolute lateral acceleration that 95 % of the ticks do not exceed: speed times yaw rate, as the odometry
     /// reports them.
@@ -187,7 +187,7 @@ pub struct TickMeasures {
     pub error: TrackingError,
     /// Distance of the pose from the nearest point of the path.
     pub path_distance_m: f64,
-    /// The steering angle that was commanded.
+    /// The steering angle that was commanded, as the gate's limit lets it through.
     pub steering_rad: f64,
     /// Whether it was at its limit.
     pub steering_limited: bool,

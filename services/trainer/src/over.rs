@@ -103,7 +103,12 @@ pub(crate) struct Judge {
 
 impl Judge {
     pub(crate) fn new(config: &RunConfig) -> Self {
-        Self { by: config.over.by, objective: Objective::new(config) }
+        Self::by_objective(config, Objective::new(config))
+    }
+
+    /// The same by an objective that knows what it needs.
+    pub(crate) fn by_objective(config: &RunConfig, objective: Objective) -> Self {
+        Self { by: config.over.by, objective }
     }
 
     /// One record of drives with the same set, plant by plant in their order.

@@ -22,6 +22,61 @@ const HELD_S: f64 = 1.0;
 const FRESH: usize = 48;
 /// The random stream of the fresh plants.
 const FRESH_STREAM: u64 = 0x0066_7265_7368;
+/// That of the plants that choose among finalists.
+const CHOOSING_STREAM: u64 = 0x6368_6f6f_7365;
+
+/// The vehicle as its file has it and the plants that it may really be, on which sets are driven without noise.
+pub(crate) struct Plausible {
+    /// The configuration without the faster drive over which a training judges, too.
+    nominal: RunConfig,
+    changes: Vec<PlantChange>,
+    plain: Rollout,
+    rollouts: Vec<Rollout>,
+}
+
+impl Plausible {
+    pub(crate) fn new(config: &RunConfig) -> Self {
+        let over = config::Over { by: OverBy::Nominal, ..config.over.clone() };
+        let nominal = RunConfig { over, ..config.clone() };
+        let changes = nominal.plant_changes();
+        let rollouts = changes.iter().map(|it| on_plant(&nominal, it)).collect();
+        Self { plain: Rollout::new(&nominal), rollouts, changes, nominal }
+    }
+
+    /// The drive of a set on each plant.
+    fn drive(&mut self, set: &Parameters) -> Vec<DriveRecord> {
+        self.rollouts.iter_mut().map(|rollout| rollout.drive(*set, None)).collect()
+    }
+
+    /// The drive of a set with the vehicle as its file has it, and the speed at which Δ counts.
+    fn plain(&mut self, set: &Parameters) -> (DriveRecord, f64) {
+        let mut speeds = Vec::new();
+        let plain = self.plain.drive_with(*set, None, |_, tick| {
+            speeds.push(tick.observation.speed_mps);
+        });
+        (plain, held_speed_mps(&speeds, self.nominal.drive.tick_s, HELD_S))
+    }
+
+    /// The first plant that shows a set to be fragile, if one does.
+    fn why_fragile(&self, plain: &DriveRecord, drives: &[DriveRecord]) -> Option<String> {
+        let floor_m = FLOOR_M * self.nominal.vehicle.wheelbase_m / FULL_SIZE_M;
+        let is_to_arrive = self.nominal.is_to_arrive();
+        let mut named = self.changes.iter().zip(drives);
+        named.find_map(|(plant, drive)| {
+            why_fragile(&plant.name, drive, plain, floor_m, is_to_arrive)
+        })
+    }
+
+    /// Whether a set is fragile: by Δ, or by one of the plants.
+    pub(crate) fn is_fragile(&mut self, set: &Parameters) -> bool {
+        let (plain, speed_mps) = self.plain(set);
+        if additional_dead_time(&self.nominal, set, speed_mps).why_fragile().is_some() {
+            return true;
+        }
+        let drives = self.drive(set);
+        self.why_fragile(&plain, &drives).is_some()
+    }
+}
 
 /// What a set does on the plants of the configuration, beside sets that are nominally about as good. `near` are these
 /// sets, the nominally best first; they may contain the set itself. Where drives are long, they are left out.
@@ -31,29 +86,24 @@ pub(crate) fn check(
     set: &Parameters,
     mut near: Vec<Parameters>,
 ) -> PlantCheck {
-    let mut nominal = config.clone();
-    nominal.over = config::Over { by: OverBy::Nominal, ..config.over.clone() };
-    let changes = nominal.plant_changes();
-    let ticks = config.ticks() * (near.len() * changes.len()) as u64;
+    let mut plausible = Plausible::new(config);
+    let ticks = config.ticks() * (near.len() * plausible.changes.len()) as u64;
     if ticks > config.ranking.max_ticks {
         near.clear();
     }
-    let mut rollouts: Vec<Rollout> = changes.iter().map(|it| on_plant(&nominal, it)).collect();
-    let mut drive_all = |set: &Parameters| -> Vec<DriveRecord> {
-        rollouts.iter_mut().map(|rollout| rollout.drive(*set, None)).collect()
-    };
-    let chosen = drive_all(set);
+    let chosen = plausible.drive(set);
     let values_of =
         |drives: &[DriveRecord]| drives.iter().map(|it| objective.of(it)).collect::<Vec<f64>>();
-    let others: Vec<(Parameters, Vec<f64>)> =
-        near.iter().filter(|it| *it != set).map(|it| (*it, values_of(&drive_all(it)))).collect();
+    let others: Vec<(Parameters, Vec<f64>)> = near
+        .iter()
+        .filter(|it| *it != set)
+        .map(|it| (*it, values_of(&plausible.drive(it))))
+        .collect();
     let values = values_of(&chosen);
-    let mut speeds = Vec::new();
-    let plain = Rollout::new(&nominal).drive_with(*set, None, |_, tick| {
-        speeds.push(tick.observation.speed_mps);
-    });
-    let margin = margin(config, set, held_speed_mps(&speeds, config.drive.tick_s, HELD_S));
-    let plants: Vec<PlantDrive> = changes
+    let (plain, held_mps) = plausible.plain(set);
+    let margin = margin(config, set, held_mps);
+    let plants: Vec<PlantDrive> = plausible
+        .changes
         .iter()
         .zip(&chosen)
         .enumerate()
@@ -69,10 +119,7 @@ pub(crate) fn check(
             }
         })
         .collect();
-    let floor_m = FLOOR_M * config.vehicle.wheelbase_m / FULL_SIZE_M;
-    let is_to_arrive = config.is_to_arrive();
-    let by_plants =
-        plants.iter().find_map(|plant| why_fragile(plant, &plain, floor_m, is_to_arrive));
+    let by_plants = plausible.why_fragile(&plain, &chosen);
     let reasons: Vec<String> = by_plants.into_iter().chain(margin.why_fragile()).collect();
     let worst = |of: &[f64]| of.iter().copied().fold(0.0, f64::max);
     let calmest = others
@@ -82,7 +129,7 @@ pub(crate) fn check(
         .min_by(|a, b| a.0.total_cmp(&b.0));
     let alternative = calmest.map(|(worst_value, parameters)| Alternative {
         gains: config.law.named(parameters),
-        value: objective.of(&Rollout::new(&nominal).drive(*parameters, None)),
+        value: objective.of(&plausible.plain.drive(*parameters, None)),
         worst_value,
     });
     PlantCheck {
@@ -91,7 +138,7 @@ pub(crate) fn check(
         fragile: (!reasons.is_empty()).then(|| reasons.join("; and ")),
         margin: Some(margin),
         compared: others.len(),
-        fresh: fresh(&nominal, &changes, set),
+        fresh: fresh(&plausible.nominal, &plausible.changes, set),
         alternative,
         plants,
     }
@@ -151,18 +198,19 @@ pub fn margin(config: &RunConfig, set: &Parameters, speed_mps: f64) -> Margin {
     }
 }
 
-/// Why a plant shows a set to be fragile, if it does.
+/// Why a drive on a plant shows a set to be fragile, if it does.
 fn why_fragile(
-    plant: &PlantDrive,
+    name: &str,
+    drive: &DriveRecord,
     plain: &DriveRecord,
     floor_m: f64,
     is_to_arrive: bool,
 ) -> Option<String> {
-    let PlantDrive { name, path_mean_m, .. } = plant;
-    if is_to_arrive && plain.arrived() && !plant.arrived {
+    if is_to_arrive && plain.arrived() && !drive.arrived() {
         return Some(format!("{name}: it does not arrive"));
     }
-    let is_far = *path_mean_m > FRAGILE_FROM * plain.path_mean_m && *path_mean_m > floor_m;
+    let path_mean_m = drive.path_mean_m;
+    let is_far = path_mean_m > FRAGILE_FROM * plain.path_mean_m && path_mean_m > floor_m;
     let times = path_mean_m / plain.path_mean_m.max(f64::MIN_POSITIVE);
     is_far.then(|| {
         format!("{name}: {path_mean_m:.3} m from the path on average, {times:.1} times as far as without")
@@ -174,8 +222,33 @@ pub(crate) fn fresh_plants<'a>(
     config: &RunConfig,
     changes: &'a [PlantChange],
 ) -> impl Iterator<Item = PlantChange> + 'a {
-    let mut random = Stream::new(config.run.seed, FRESH_STREAM);
+    drawn_from(config, changes, FRESH_STREAM)
+}
+
+fn drawn_from<'a>(
+    config: &RunConfig,
+    changes: &'a [PlantChange],
+    stream: u64,
+) -> impl Iterator<Item = PlantChange> + 'a {
+    let mut random = Stream::new(config.run.seed, stream);
     std::iter::repeat_with(move || drawn(changes, &mut random))
+}
+
+/// The plants that choose among the finalists of a training over plants: drawn anew, and others than those by which the
+/// choice is told. The faster drives of the training stay as they are, and as many.
+pub(crate) fn choosing_plants(config: &RunConfig) -> Vec<PlantChange> {
+    let over = config::Over { by: OverBy::Nominal, ..config.over.clone() };
+    let of_car = RunConfig { over, ..config.clone() }.plant_changes();
+    let of_training = config.plant_changes();
+    let faster = &of_training[of_car.len()..];
+    let plants = drawn_from(config, &of_car, CHOOSING_STREAM).take(config.over.choosing as usize);
+    plants
+        .enumerate()
+        .map(|(number, drawn)| {
+            let place = number % of_training.len();
+            place.checked_sub(of_car.len()).map_or(drawn, |place| faster[place].clone())
+        })
+        .collect()
 }
 
 /// The set on plants that are drawn anew; with noise, if the configuration has it.

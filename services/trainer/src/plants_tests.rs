@@ -99,3 +99,76 @@ fn the_speed_that_is_held_finds_the_sets_that_shake_and_flags_fewer_of_the_other
     assert!(f64::from(held.bad_found) >= 0.95 * f64::from(peak.bad_found), "{held:?} {peak:?}");
     assert!(held.good_flagged < peak.good_flagged, "{held:?} {peak:?}");
 }
+
+/// A car of scale 1:10 that catches up from rest, changes its lane, and drives steadily.
+fn steady_small_drive(law: &str, speed_mps: f64, delay_s: f64, lag_s: f64) -> RunConfig {
+    let mut layers = Layers::maneuver("lane_change").unwrap();
+    layers.set_vehicle("--vehicle", "f1tenth").unwrap();
+    layers.set_law("--law", law).unwrap();
+    let length_m = 45.0 * speed_mps;
+    for set in [
+        format!(
+            "path.pieces=[{{kind='straight',length_m=1.0}},{{kind='cosine',length_m=4.0,offset_m=-0.4}},{{kind='straight',length_m={length_m:?}}}]"
+        ),
+        format!("reference.speed_mps={speed_mps:?}"),
+        format!("vehicle.steering_delay_s={delay_s:?}"),
+        format!("vehicle.steering_lag_s={lag_s:?}"),
+        "drive.loop_time_s=40.0".to_owned(),
+        "controller.compensate_dead_time=false".to_owned(),
+    ] {
+        layers.set(&set).unwrap();
+    }
+    layers.resolve().unwrap()
+}
+
+/// Below the limit of Δ that is scaled to a small car most of its sets shake, and above it hardly one does.
+/// `PATHTUNE_SMALL_MARGIN=1` looks at every set of the grids, otherwise at one in so many, and prints bands of Δ.
+#[test]
+fn a_small_car_s_sets_shake_below_its_own_limit_of_the_additional_dead_time() {
+    let every = std::env::var("PATHTUNE_SMALL_MARGIN").map_or(97, |text| text.parse().unwrap());
+    const BANDS_MS: [f64; 11] =
+        [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, 100.0, 200.0, f64::INFINITY];
+    let mut bands = [[0u32; 2]; BANDS_MS.len()];
+    let (mut below, mut above) = ([0u32; 2], [0u32; 2]);
+    for law in ["paper", "pure_pursuit", "stanley"] {
+        for speed_mps in [1.0, 2.0, 3.0, 4.0] {
+            for (delay_s, lag_s) in [(0.02, 0.0), (0.05, 0.03), (0.1, 0.05)] {
+                let config = steady_small_drive(law, speed_mps, delay_s, lag_s);
+                let far_m = 0.5 * config.vehicle.wheelbase_m / 2.875;
+                let tick_s = config.drive.tick_s;
+                let mut rollout = Rollout::new(&config);
+                let grid = config.grid();
+                for at in grid.positions().step_by(every) {
+                    let set: Parameters = grid.set(at);
+                    let mut speeds = Vec::new();
+                    rollout.drive_with(set, None, |_, it| speeds.push(it.observation.speed_mps));
+                    let mut off = Vec::new();
+                    rollout.drive_with(set, Some(7), |tick, it| {
+                        if tick as f64 * tick_s >= 25.0 {
+                            off.push(it.decision.path_distance_m);
+                        }
+                    });
+                    let is_far = off.is_empty() || off.iter().any(|it| *it > far_m);
+                    let speed_mps = held_speed_mps(&speeds, tick_s, HELD_S);
+                    let margin = additional_dead_time(&config, &set, speed_mps);
+                    if margin.unknown.is_some() {
+                        continue;
+                    }
+                    let margin_s = margin.additional_dead_time_s.unwrap_or(f64::INFINITY);
+                    let band = BANDS_MS.iter().position(|it| 1000.0 * margin_s <= *it).unwrap();
+                    let side = if margin.why_fragile().is_some() { &mut below } else { &mut above };
+                    for count in [&mut bands[band], side] {
+                        count[0] += u32::from(is_far);
+                        count[1] += 1;
+                    }
+                }
+            }
+        }
+    }
+    for (most_ms, [far, all]) in BANDS_MS.iter().zip(&bands) {
+        println!("Δ up to {most_ms} ms: {far} of {all} far from the path");
+    }
+    let share = |[far, all]: [u32; 2]| f64::from(far) / f64::from(all);
+    println!("below the limit {below:?}, above it {above:?}");
+    assert!(share(below) > 0.5 && share(above) < 0.08, "{below:?} {above:?}");
+}

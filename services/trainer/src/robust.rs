@@ -4,6 +4,8 @@
 //! each with the same noise seeds if there is noise, and the set with the best mean of these drives is chosen. A mean that
 //! was chosen for being the best is too good. Under noise, therefore, what is told of the sets comes from further drives,
 //! which chose nothing: means, intervals, and the differences between drives with the same seed.
+//!
+//! Over plants the finalists are driven again on other plants, see `over_plants`.
 
 mod over_plants;
 
@@ -38,27 +40,34 @@ pub struct Finalists {
 struct Visited {
     parameters: Parameters,
     visits: u32,
+    /// Whether the set is known to be fragile; looked at over plants alone.
+    fragile: bool,
+}
+
+/// By what a finalist is ranked, what counts most first.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Rank {
+    /// Drives that did not arrive, on plants and where drives are to arrive.
+    not_arrived: usize,
+    /// Whether it is fragile: another set with which every drive arrives is preferred then.
+    fragile: bool,
+    /// The objective of the drives together.
+    cost: f64,
 }
 
 impl Finalists {
     /// The sets of a finished training with the best mean of the objective, and after them the set that the tuner
     /// recommends and the paper's, if they are not among them.
     pub fn new(config: &RunConfig, training: &Training) -> Self {
-        let visited = training.visited();
-        let mut best: Vec<_> = visited.iter().collect();
-        // Stable: ties go to the lower number in the grid.
-        best.sort_by(|a, b| a.mean_value.total_cmp(&b.mean_value));
-        let mut sets: Vec<Visited> = best
-            .iter()
-            .take(config.robust.finalists as usize)
-            .map(|it| Visited { parameters: it.parameters, visits: it.visits })
-            .collect();
+        let best: Vec<Visited> = over_plants::best_first(training).collect();
+        let mut sets: Vec<Visited> =
+            best.iter().take(config.robust.finalists as usize).copied().collect();
         let recommended = training.tuner().recommend(&by_values);
         let paper = config.paper_set();
         for parameters in [Some(recommended), paper].into_iter().flatten() {
             if sets.iter().all(|set| set.parameters != parameters) {
-                let known = visited.iter().find(|it| it.parameters == parameters);
-                sets.push(Visited { parameters, visits: known.map_or(0, |it| it.visits) });
+                let known = best.iter().find(|it| it.parameters == parameters).copied();
+                sets.push(known.unwrap_or(Visited { parameters, visits: 0, fragile: false }));
             }
         }
         let (repeats, noise) = (config.robust.repeats.into(), config.noise.enabled);
@@ -92,27 +101,31 @@ impl Finalists {
             .chunks((self.repeats + self.fresh) as usize)
             .map(|drives| drives.iter().map(|drive| objective.of(drive)).collect())
             .collect();
-        let costs: Vec<f64> = all.iter().map(|it| mean(&it[..self.repeats as usize])).collect();
+        let cost = |it: &Vec<f64>| mean(&it[..self.repeats as usize]);
+        let ranks: Vec<Rank> =
+            all.iter().map(|it| Rank { cost: cost(it), ..Rank::default() }).collect();
         // Those that tell: all of them, if no others follow.
         let told = if self.fresh > 0 { self.repeats as usize } else { 0 };
         let values: Vec<&[f64]> = all.iter().map(|it| &it[told..]).collect();
-        self.chosen(config, &costs, &values, self.repeats)
+        self.chosen(config, &ranks, &values, self.repeats)
     }
 
-    /// The set with the least cost, and what the values of drives that may have chosen nothing tell of all of them.
+    /// The set that ranks first, and what the values of drives that may have chosen nothing tell of all of them.
     fn chosen(
         &self,
         config: &RunConfig,
-        costs: &[f64],
+        ranks: &[Rank],
         values: &[&[f64]],
         choosing: u64,
     ) -> Choice {
         // Only sets that the training has visited may be chosen; the others are there for comparison.
         let mut order: Vec<usize> = (0..self.sets.len()).collect();
-        let cost = |index: usize| (self.sets[index].visits == 0, costs[index]);
-        order.sort_by(|a, b| {
-            let (a, b) = (cost(*a), cost(*b));
-            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+        let first = |index: usize| {
+            let Rank { not_arrived, fragile, .. } = ranks[index];
+            (self.sets[index].visits == 0, not_arrived, fragile)
+        };
+        order.sort_by(|&a, &b| {
+            first(a).cmp(&first(b)).then(ranks[a].cost.total_cmp(&ranks[b].cost))
         });
         let chosen = order[0];
         let compare = |parameters: Parameters| {
@@ -134,9 +147,10 @@ impl Finalists {
                 .iter()
                 .map(|&index| {
                     let Estimate { mean: mean_value, low, high } = Estimate::of(values[index]);
-                    let Visited { parameters, visits } = self.sets[index];
+                    let Visited { parameters, visits, fragile } = self.sets[index];
                     let gains = config.law.named(&parameters);
-                    Finalist { gains, mean_value, low, high, visits }
+                    let not_arrived = ranks[index].not_arrived as u64;
+                    Finalist { gains, mean_value, low, high, visits, not_arrived, fragile }
                 })
                 .collect(),
             against_recommended: compare(self.recommended).expect("it was driven"),

@@ -1,47 +1,131 @@
-//! The choice among finalists over plants with noise, by plain calls.
+//! The choice among finalists over plants, by plain calls.
 //!
-//! The noise of the training is the same for all sets, so its best set may owe its place to that noise. The finalists are
-//! therefore driven on the same plants with other noise, which chooses; and what is told of them comes from plants that
-//! were drawn anew, each with a noise of its own.
+//! The plants of a training are few, and the same for all sets: its best set may owe its place to them, and not even arrive
+//! on others like them. With noise, the same is true of that noise. The finalists are therefore told apart on plants of
+//! their own, which were drawn anew, and what is told of them comes from yet other ones. A set that the pages call fragile
+//! ranks behind all that are not: whoever trains over plants asks for a set that holds.
 
-use config::{Over, OverBy, RunConfig};
-use tracking::Objective;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-use super::Finalists;
-use crate::over::{PlantRollouts, Purpose, on_plant};
-use crate::plants::fresh_plants;
+use config::{OverBy, Parameters, PlantChange, RunConfig};
+use tracking::{DriveRecord, Objective};
+
+use super::{Finalists, Rank, Visited};
+use crate::Training;
+use crate::over::{Judge, Purpose, on_plant};
+use crate::plants::{Plausible, choosing_plants, fresh_plants};
 use crate::result::Choice;
 
+/// How many of the finalists are to be sets that are not fragile, if so many are found
+const STEADY: usize = 6;
+/// among so many of the best sets.
+const LOOKED_AT: usize = 200;
+
 impl Finalists {
+    /// The finalists of a training over plants: if few of them hold, the best ones that do are added.
+    pub(crate) fn over_plants(config: &RunConfig, training: &Training) -> Self {
+        let mut finalists = Self::new(config, training);
+        finalists.fresh = config.robust.fresh.into();
+        let mut plausible = Plausible::new(config);
+        for set in &mut finalists.sets {
+            set.fragile = plausible.is_fragile(&set.parameters);
+        }
+        let mut steady = finalists.sets.iter().filter(|it| it.visits > 0 && !it.fragile).count();
+        for set in best_first(training).take(LOOKED_AT) {
+            if steady >= STEADY {
+                break;
+            }
+            let is_known = finalists.sets.iter().any(|it| it.parameters == set.parameters);
+            if !is_known && !plausible.is_fragile(&set.parameters) {
+                finalists.sets.push(set);
+                steady += 1;
+            }
+        }
+        finalists
+    }
+
     /// The set that is chosen, and how it does on plants that chose nothing. Passes its progress, as a share, to
     /// `progress`.
     pub(crate) fn choose_over_plants(
         &self,
         config: &RunConfig,
         objective: &Objective,
-        progress: impl Fn(f64),
+        progress: impl Fn(f64) + Sync,
     ) -> Choice {
-        let repeats = self.repeats as usize;
-        let mut choosing = PlantRollouts::with(config, Purpose::Choosing, repeats);
-        let mut costs = Vec::with_capacity(self.sets.len());
-        for (place, set) in self.sets.iter().enumerate() {
-            costs.push(objective.of(&choosing.drive(set.parameters, None)));
-            progress(place as f64 / self.sets.len() as f64);
-        }
+        let sets: Vec<Parameters> = self.sets.iter().map(|it| it.parameters).collect();
+        let drive = |plants: Vec<PlantChange>, purpose: Purpose, from: f64, to: f64| {
+            let share = |done: f64| progress(from + done * (to - from));
+            drives_on(config, &plants, purpose, &sets, share)
+        };
+        let choosing = drive(choosing_plants(config), Purpose::Choosing, 0.0, 0.5);
+        let judge = Judge::by_objective(config, *objective);
+        let is_to_arrive = config.is_to_arrive();
+        let ranks: Vec<Rank> = choosing
+            .iter()
+            .zip(&self.sets)
+            .map(|(drives, set)| Rank {
+                not_arrived: drives.iter().filter(|it| is_to_arrive && !it.arrived()).count(),
+                fragile: set.fragile,
+                cost: objective.of(&judge.together(drives)),
+            })
+            .collect();
         // Plants of the car, not the faster drive beside them: a value at another speed is another value.
         let mut of_car = config.clone();
-        of_car.over = Over { by: OverBy::Nominal, ..config.over.clone() };
-        let mut told = vec![Vec::new(); self.sets.len()];
+        of_car.over.by = OverBy::Nominal;
         let changes = of_car.plant_changes();
-        let plants = fresh_plants(config, &changes).take(self.fresh as usize);
-        for (number, plant) in plants.enumerate() {
-            let mut rollout = on_plant(config, &plant);
-            let seed = Purpose::Telling.seed(config, number);
-            for (set, values) in self.sets.iter().zip(&mut told) {
-                values.push(objective.of(&rollout.drive(set.parameters, Some(seed))));
-            }
-        }
+        let fresh = fresh_plants(config, &changes).take(self.fresh as usize).collect();
+        let told: Vec<Vec<f64>> = drive(fresh, Purpose::Telling, 0.5, 1.0)
+            .iter()
+            .map(|drives| drives.iter().map(|it| objective.of(it)).collect())
+            .collect();
         let values: Vec<&[f64]> = told.iter().map(Vec::as_slice).collect();
-        self.chosen(config, &costs, &values, self.repeats * config.plants() as u64)
+        self.chosen(config, &ranks, &values, choosing[0].len() as u64)
     }
 }
+
+/// The sets that a training has driven, the best first.
+pub(super) fn best_first(training: &Training) -> impl Iterator<Item = Visited> {
+    let mut visited = training.visited();
+    // Stable: ties go to the lower number in the grid.
+    visited.sort_by(|a, b| a.mean_value.total_cmp(&b.mean_value));
+    visited.into_iter().map(|it| Visited {
+        parameters: it.parameters,
+        visits: it.visits,
+        fragile: false,
+    })
+}
+
+/// The drives of sets on plants, set by set and plant by plant; with noise, that of the purpose. On all cores.
+fn drives_on(
+    config: &RunConfig,
+    plants: &[PlantChange],
+    purpose: Purpose,
+    sets: &[Parameters],
+    progress: impl Fn(f64) + Sync,
+) -> Vec<Vec<DriveRecord>> {
+    let next = AtomicUsize::new(0);
+    let on_next = || {
+        let mut driven = Vec::new();
+        loop {
+            let plant = next.fetch_add(1, Ordering::Relaxed);
+            let Some(change) = plants.get(plant) else { return driven };
+            let mut rollout = on_plant(config, change);
+            let seed = config.noise.enabled.then(|| purpose.seed(config, plant));
+            let of_plant: Vec<_> = sets.iter().map(|set| rollout.drive(*set, seed)).collect();
+            driven.push((plant, of_plant));
+            progress(plant as f64 / plants.len() as f64);
+        }
+    };
+    let threads = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+    let mut driven: Vec<(usize, Vec<DriveRecord>)> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(on_next)).collect();
+        workers.into_iter().flat_map(|it| it.join().expect("a rollout does not panic")).collect()
+    });
+    driven.sort_by_key(|(plant, _)| *plant);
+    let of_set = |set: usize| driven.iter().map(|(_, drives)| drives[set]).collect();
+    (0..sets.len()).map(of_set).collect()
+}
+
+#[cfg(test)]
+#[path = "over_plants_tests.rs"]
+mod tests;

@@ -51,7 +51,7 @@ impl Trainer {
         if let Some(driven) = self.training.tuner().driven() {
             return self.rank_few(driven);
         }
-        if self.config.is_noisy_over_plants() {
+        if self.config.is_over_plants() && self.driver == Driver::Simulator {
             return self.rank(None);
         }
         if self.config.noise.enabled && self.is_few() && self.driver == Driver::Simulator {
@@ -221,8 +221,8 @@ impl Trainer {
                 let (objective, set) = (training.objective(), &choice.parameters);
                 choice.rank_mean = Some(rank_mean(&config, objective, set, progress));
             }
-            if config.is_noisy_over_plants() {
-                let finalists = Finalists::new(&config, &training);
+            if choice.is_none() && config.is_over_plants() {
+                let finalists = Finalists::over_plants(&config, &training);
                 choice =
                     Some(finalists.choose_over_plants(&config, training.objective(), progress));
             }
