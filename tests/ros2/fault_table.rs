@@ -240,7 +240,8 @@ fn words(name: &str, default: &str) -> Vec<String> {
 #[ignore = "by hand: some 20 s a drive"]
 fn faults_of_a_car_of_another_s_making_are_told_and_it_stays_near_its_path() {
     let Some(python) = python() else { return };
-    let count: u32 = std::env::var("PATHTUNE_FAULTY_DRIVES").map_or(1, |text| text.parse().unwrap());
+    let count: u32 =
+        std::env::var("PATHTUNE_FAULTY_DRIVES").map_or(1, |text| text.parse().unwrap());
     let over_dds = std::env::var("PATHTUNE_OVER").as_deref() != Ok("shm");
     let (named, cars) =
         (words("PATHTUNE_FAULT_KINDS", DEFAULT_KINDS), words("PATHTUNE_CARS", "large"));

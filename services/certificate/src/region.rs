@@ -290,7 +290,7 @@ const NEAR: f64 = 1e-4;
 const SIZE: f64 = 1e3;
 
 /// P of Mᵀ·P·M − P = −W, by doubling, for the W of states of this size; `None` unless M is stable.
-fn lyapunov(matrix: &Square<4>, size: State) -> Option<Square<4>> {
+pub(crate) fn lyapunov(matrix: &Square<4>, size: State) -> Option<Square<4>> {
     let mut p: Square<4> = [[0.0; 4]; 4];
     for place in 0..4 {
         p[place][place] = 1.0 / (size[place] * size[place]);

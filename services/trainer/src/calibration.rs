@@ -121,7 +121,7 @@ pub fn envelope_of(
         }
         return Err(format!(
             "{good} of {all} drives stayed within {:.2} m of the path to their end, and at least 4 must: take steadier gains, \
-             or see whether noise as of this file (noise.position_sd_m = {}) is that of this car",
+             or see whether the noise (noise.position_sd_m = {}) is that of this car",
             far_m(config),
             config.noise.position_sd_m
         ));
