@@ -12,6 +12,8 @@ use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
 use support::Sandbox;
 use tracking::Pose;
 
+/// Twice as fast as the path.
+const STUCK: Fault = Fault::StuckThrottle { speed_mps: 4.0 };
 const BENT: Fault = Fault::BentLinkage { gain: 0.15, offset_rad: 0.12 };
 
 /// A straight of 20 m, a bend of 14 m to the left, and a straight of 20 m, at 2 m/s.
@@ -49,14 +51,30 @@ fn far_off_the_path_drives_on() {
     assert_eq!(result["stopped_for"], serde_json::json!(["steering_ignored"]));
     assert!(result["path_max_m"].as_f64().unwrap() < 3.5, "{result}");
 
-    // Bit for bit what plain calls make of it.
-    let config = std::fs::read_to_string(sandbox.path("bent_vehicle/config.toml")).unwrap();
+    assert_as_plain_calls(&sandbox, "bent_vehicle", BENT, &result);
+    sandbox.assert_clean();
+}
+
+/// Its reference goes along with it, at a rate that the supervisor sets tick by tick.
+#[test]
+fn a_car_that_runs_away_is_told_and_kept_near_its_path() {
+    let sandbox = Sandbox::new();
+    let (code, said, result) = drive(&sandbox, "stuck_vehicle");
+    assert_eq!(code, Some(2), "{said}");
+    assert_eq!(result["stopped_for"], serde_json::json!(["speed_ignored"]), "{said}");
+    assert!(result["path_max_m"].as_f64().unwrap() < 1.0, "{result}");
+    assert_as_plain_calls(&sandbox, "stuck_vehicle", STUCK, &result);
+    sandbox.assert_clean();
+}
+
+/// Bit for bit what plain calls make of it.
+fn assert_as_plain_calls(sandbox: &Sandbox, out: &str, fault: Fault, result: &serde_json::Value) {
+    let config = sandbox.text(&format!("{out}/config.toml"));
     let config = RunConfig::from_resolved(&config).unwrap();
-    let car = FaultyCar::new(&config, BENT, 0, u64::MAX);
+    let car = FaultyCar::new(&config, fault, 0, u64::MAX);
     let record = Rollout::around(car, &config).drive(Parameters::of(&[3.0, 21.0, 21.0, 0.7]), None);
     let ticks = (result["driven_s"].as_f64().unwrap() / config.drive.tick_s).round() as u64;
     assert_eq!((ticks, result["path_max_m"].as_f64()), (record.ticks, Some(record.path_max_m)));
-    sandbox.assert_clean();
 }
 
 #[test]
@@ -78,6 +96,13 @@ fn a_wrong_steering_sign_is_told_and_a_healthy_vehicle_arrives() {
 #[ignore = "a process of the tests above"]
 fn bent_vehicle() {
     run_vehicle(BENT);
+}
+
+/// Not a test: a process in the vehicle's role.
+#[test]
+#[ignore = "a process of the tests above"]
+fn stuck_vehicle() {
+    run_vehicle(STUCK);
 }
 
 /// Not a test: a process in the vehicle's role.
