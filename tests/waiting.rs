@@ -109,6 +109,7 @@ fn a_bench_of_some_rows_tells_them() {
     let only = ["calls", "ring/pipe", "pipeline/fleet=1", "law/stanley", "law/mpc/calls"];
     let only: Vec<&str> = only.iter().flat_map(|it| ["--only", it]).collect();
     let output = sandbox.run(&[&["bench", "--rounds", "1", "--json"], &only[..]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let told: Value = serde_json::from_slice(&output.stdout).unwrap();
     let rows = told["rows"].as_array().unwrap();
     let names: Vec<&str> = rows.iter().map(|row| row["name"].as_str().unwrap()).collect();

@@ -7,13 +7,13 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::thread::JoinHandle;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use config::{RunConfig, SweepKind, SweepPlan};
 use ipc_types::{
     Attempt, BatchHeader, DriveOutcome, DriveRequest, GainSwitch, LearnerProgress, Proposal,
     WakeRole, Zone,
 };
-use outcome::{Outcome, PlantCheck, Switch};
+use outcome::{GridResult, Outcome, PlantCheck, Switch};
 use runtime::clock::now_ns;
 use runtime::{Attachment, Bus, Counters, Inlet, Outlet, Service, join, serve};
 
@@ -64,6 +64,9 @@ struct Schedule {
     switches: BTreeMap<usize, Vec<Switch>>,
     /// Drives the sets of a validation on plants, until they are taken.
     checks: Option<JoinHandle<Vec<Option<PlantCheck>>>>,
+    /// Makes a result of the drives of a grid, until it is taken: it drives plants, too, and this process must give signs of
+    /// life meanwhile.
+    ranking: Option<JoinHandle<Result<GridResult>>>,
     stage: ScheduleStage,
     counters: Counters,
 }
@@ -79,7 +82,7 @@ enum ScheduleStage {
     /// No drive was asked for yet.
     Fresh,
     Driving,
-    /// All drives are over, but the thread with the plants is not.
+    /// All drives are over, but the thread with the plants or with the result is not.
     Checking,
     /// The outcome has been written and announced.
     Over,
@@ -146,6 +149,7 @@ impl Schedule {
             early: Vec::new(),
             switches: BTreeMap::new(),
             checks,
+            ranking: None,
             stage: ScheduleStage::Fresh,
             counters: Counters::default(),
         })
@@ -251,11 +255,17 @@ impl Schedule {
         if self.sweeping.driven().is_none() {
             return self.propose();
         }
-        if self.checks.as_ref().is_some_and(|thread| !thread.is_finished()) {
+        let driven = self.sweeping.driven_so_far();
+        if let (Subject::Grid(grid), None) = (&self.subject, &self.ranking) {
+            let (grid, folder, driven) = (grid.clone(), self.folder.clone(), driven.clone());
+            self.ranking = Some(std::thread::spawn(move || grid.finish(&folder, &driven)));
+        }
+        if self.checks.as_ref().is_some_and(|thread| !thread.is_finished())
+            || self.ranking.as_ref().is_some_and(|thread| !thread.is_finished())
+        {
             self.stage = ScheduleStage::Checking;
             return Ok(());
         }
-        let driven = self.sweeping.driven_so_far();
         if let Some(outcome) = self.outcome(&driven)? {
             write_outcome(&self.folder, &decided(&self.config, outcome))?;
         }
@@ -314,7 +324,10 @@ impl Schedule {
                 })
             }
             Subject::Grid(_) if driven.iter().all(Option::is_none) => None,
-            Subject::Grid(grid) => Some(Outcome::Grid(grid.finish(&self.folder, driven)?)),
+            Subject::Grid(grid) => Some(Outcome::Grid(match self.ranking.take() {
+                Some(ranking) => ranking.join().map_err(|_| anyhow!("the ranking panicked"))??,
+                None => grid.finish(&self.folder, driven)?,
+            })),
             Subject::Drive(drive) => driven[0].map(|driven| {
                 let switches = self.switches.remove(&0).unwrap_or_default();
                 let mut result = drive.result(&driven, switches);
