@@ -7,7 +7,7 @@ use crate::compared::{Compared, compared};
 use crate::computed::{Computed, computed, follows};
 use crate::drive::{Drive, Stretch, choose, stretches};
 use crate::fit::{Fitted, fit_speed, fit_steering, refit};
-use crate::levenberg::robust_sd;
+use crate::levenberg::white_noise_sd;
 use crate::prediction::{self, Car, FOLDS, Prediction, is_held_out};
 use crate::refusal::Refusal;
 use crate::rows::{
@@ -338,11 +338,7 @@ fn warnings(found: &Identification, of_steering: &Fitted) -> Vec<String> {
     warnings
 }
 
-/// The noise of what was measured, whatever the car did: differences of the third order know no motion that is smooth.
+/// The noise of what was measured.
 fn noise_of(stretches: &[Stretch], of: fn(&Stretch) -> &Vec<f64>) -> f64 {
-    let third = |values: &[f64]| {
-        let differences = values.windows(4).map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
-        robust_sd(differences) / 20.0_f64.sqrt()
-    };
-    stretches.iter().map(|it| third(of(it))).fold(0.0, f64::max)
+    stretches.iter().map(|it| white_noise_sd(of(it))).fold(0.0, f64::max)
 }

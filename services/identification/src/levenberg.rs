@@ -7,7 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 
 /// Huber's constant: 95 % as efficient as plain least squares where the noise is Gaussian.
-const HUBER: f64 = 1.345;
+pub(crate) const HUBER: f64 = 1.345;
 /// Median of |x| of a Gaussian x with a standard deviation of 1, inverted.
 const MAD_TO_SD: f64 = 1.4826;
 
@@ -79,6 +79,12 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
 pub(crate) fn robust_sd(values: impl Iterator<Item = f64>) -> f64 {
     let mut absolutes: Vec<f64> = values.map(f64::abs).collect();
     MAD_TO_SD * median(&mut absolutes)
+}
+
+/// Standard deviation of white noise, whatever the car did: differences of the third order know no motion that is smooth.
+pub(crate) fn white_noise_sd(values: &[f64]) -> f64 {
+    let differences = values.windows(4).map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
+    robust_sd(differences) / 20.0_f64.sqrt()
 }
 
 /// All the same.

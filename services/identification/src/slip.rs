@@ -15,13 +15,11 @@ use nalgebra::{Matrix4, Vector4};
 
 use crate::drive::Stretch;
 use crate::fit::Z95;
-use crate::levenberg::robust_sd;
+use crate::levenberg::{HUBER, robust_sd, white_noise_sd};
 use crate::steering::{block_of, blocks_of, windows};
 
 /// The heading is a parabola over ± this time, without most of its noise.
 const HEADING_S: f64 = 0.25;
-/// Residuals beyond this many standard deviations count less (Huber).
-const HUBER: f64 = 1.345;
 /// Rounds of weighing anew.
 const ROUNDS: usize = 3;
 
@@ -56,20 +54,13 @@ impl Sample {
 pub(crate) fn fit_slip(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) -> Option<Slip> {
     let windows = all_windows(stretches, counts);
     let mut weights: Vec<Vec<f64>> = windows.iter().map(|it| vec![1.0; it.len()]).collect();
-    let weighted = |weights: &[Vec<f64>]| -> Vec<(f64, usize, usize)> {
-        let of = |(window, of): (usize, &Vec<f64>)| -> Vec<(f64, usize, usize)> {
-            of.iter().enumerate().map(|(at, weight)| (*weight, window, at)).collect()
-        };
-        weights.iter().enumerate().flat_map(of).collect()
-    };
     let (mut found, mut inverse) = (Vector4::zeros(), Matrix4::zeros());
     for round in 0..ROUNDS {
         let (mut normal, mut side) = (Matrix4::zeros(), Vector4::zeros());
-        for (weight, window, at) in weighted(&weights) {
-            let sample = &windows[window][at];
+        for (weight, sample) in weights.iter().flatten().zip(windows.iter().flatten()) {
             for (of, measured) in sample.of.iter().zip(sample.measured) {
-                normal += weight * of * of.transpose();
-                side += weight * measured * of;
+                normal += *weight * of * of.transpose();
+                side += *weight * measured * of;
             }
         }
         inverse = normal.cholesky()?.inverse();
@@ -86,8 +77,8 @@ pub(crate) fn fit_slip(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) ->
         }
     }
     let largest = |of: fn(&Stretch) -> f64| stretches.iter().map(of).fold(0.0, f64::max);
-    let yaw_sd = largest(|it| noise(&it.yaw_rad));
-    let position_sd = largest(|it| noise(&it.x_m).max(noise(&it.y_m)));
+    let yaw_sd = largest(|it| white_noise_sd(&it.yaw_rad));
+    let position_sd = largest(|it| white_noise_sd(&it.x_m).max(white_noise_sd(&it.y_m)));
     let (mut together, mut white) = (Matrix4::zeros(), Matrix4::zeros());
     for (window, weights) in windows.iter().zip(&weights) {
         let mut sum = Vector4::zeros();
@@ -109,12 +100,6 @@ pub(crate) fn fit_slip(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) ->
     let half_s2pm = Z95 * variance(together).max(variance(white)).max(0.0).sqrt();
     let slip = Slip { at_s2pm: found[3], half_s2pm };
     (slip.at_s2pm.is_finite() && half_s2pm.is_finite()).then_some(slip)
-}
-
-/// Standard deviation of white noise, told by differences of the third order, which know no motion that is smooth.
-fn noise(values: &[f64]) -> f64 {
-    let differences = values.windows(4).map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
-    robust_sd(differences) / 20.0_f64.sqrt()
 }
 
 fn all_windows(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) -> Vec<Vec<Sample>> {
