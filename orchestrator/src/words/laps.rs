@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use outcome::Lap;
+use outcome::{Lap, alike};
 
 use crate::words::Failure;
 use crate::words::tables::{digits, or_dash, table_of};
@@ -19,6 +19,14 @@ pub(super) fn print(laps: &BTreeMap<String, Vec<Lap>>) -> Result<(), Failure> {
             table.add_row([number, or_dash(lap.time_s, 2), mean_m, digits(lap.path_max_m, 3)]);
         }
         say!("{table}");
+        if let Some(alike) = alike(laps) {
+            say!(
+                "the {} laps without a standstill: {} m from the path at the mean, each within {:.1} % of that",
+                alike.count,
+                digits(alike.path_mean_m, 4),
+                100.0 * alike.apart
+            );
+        }
     }
     Ok(())
 }

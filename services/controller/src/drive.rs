@@ -77,6 +77,8 @@ pub struct DriveController {
     /// Ticks for which it waits, in all, for a vehicle that does not follow.
     wait_limit_ticks: f64,
     goal_radius_m: f64,
+    /// How far to the side a vehicle that passes the end may be.
+    beside_the_end_m: f64,
     steering_limit_rad: f64,
     /// How far the gate lets the steering angle turn in a tick.
     turn_limit_rad: f64,
@@ -109,6 +111,11 @@ impl DriveController {
             stop_ticks: 0,
             wait_limit_ticks: config.reference.wait_limit_s / config.drive.tick_s,
             goal_radius_m: config.drive.goal_radius_m,
+            beside_the_end_m: if config.path.is_closed() {
+                config.drive.goal_radius_m.max(config.vehicle.wheelbase_m)
+            } else {
+                config.drive.goal_radius_m
+            },
             steering_limit_rad: config.controller.steering_limit_rad,
             turn_limit_rad: config.vehicle.safety.steering_rate_limit_radps * config.drive.tick_s,
             passed_rad: 0.0,
@@ -261,7 +268,9 @@ impl DriveController {
     }
 
     /// Whether the vehicle has passed the end of the path, no farther to the side than the goal's radius. Where speeds fall
-    /// towards the end, it is there before the reference, and may no longer be near when the reference comes.
+    /// towards the end, it is there before the reference, and may no longer be near when the reference comes. The end of a
+    /// closed path is a line that is crossed: a vehicle that is as far from the path as on the laps before, up to its
+    /// wheelbase, has crossed it.
     fn has_passed_the_end(&self, at: Pose) -> bool {
         let path = self.reference.path();
         let end = self.reference.end();
@@ -269,7 +278,7 @@ impl DriveController {
         let (sin, cos) = (libm::sin(end.yaw_rad), libm::cos(end.yaw_rad));
         // On a closed path, the beginning of the last lap lies ahead of the end, too.
         dx * cos + dy * sin > 0.0
-            && (dy * cos - dx * sin).abs() <= self.goal_radius_m
+            && (dy * cos - dx * sin).abs() <= self.beside_the_end_m
             && self.follower.along_m(path, at.x_m, at.y_m) >= path.length_m()
     }
 

@@ -191,14 +191,18 @@ impl<'a> Sight<'a> {
         self.reference
     }
 
-    /// The pose of the path `ahead_m` beyond a place along it, held at its end.
+    /// The pose of the path `ahead_m` beyond a place along it. Beyond the end of a closed path lies its beginning; another
+    /// is held at its end.
     pub fn path_ahead(&self, along_m: f64, ahead_m: f64) -> Pose {
-        self.path().at(along_m + ahead_m)
+        self.path().at_or_round(along_m + ahead_m)
     }
 
-    /// The pose `ahead_m` beyond a place along the path; behind the path's end, straight on.
+    /// As [`Sight::path_ahead`], but beyond an end straight on.
     pub fn path_ahead_or_beyond(&self, along_m: f64, ahead_m: f64) -> Pose {
         let pose = self.path_ahead(along_m, ahead_m);
+        if self.path().is_closed() {
+            return pose;
+        }
         let beyond_m = (along_m + ahead_m - self.path().length_m()).max(0.0);
         let at = pose.ahead(beyond_m);
         Pose { x_m: at.x, y_m: at.y, yaw_rad: pose.yaw_rad }

@@ -33,7 +33,7 @@ pub use comparison::{
 pub use drive::{Fastest, InEnvelope, QualityAt, RefusedSwitch, SingleDrive};
 pub use file::{OUTCOME_FILE, OutcomeError, RESULT_FILE, read_decided, read_result, to_json};
 pub use grid::{Flatness, GridResult, MainEffect, NamedSet, RankedSet, ValueMean};
-pub use laps::Lap;
+pub use laps::{Alike, Lap, alike};
 pub use plants::{Alternative, Extent, FreshPlants, Margin, PlantCheck, PlantDrive};
 pub use recording::{RecordingFacts, TopicCounts};
 pub use run::{DeathToTick, Drives, ProcessFacts, Recovery, Run, RunDrives};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use maud::html;
-use outcome::Lap;
+use outcome::{Lap, alike};
 
 use crate::axis::number;
 use crate::page::{Page, table};
@@ -36,7 +36,16 @@ pub(crate) fn section(page: &mut Page, laps: &BTreeMap<String, Vec<Lap>>) {
                 } },
                 rows,
             ))
-            p { "Lap times are exact to a tick. The first lap of a drive from rest holds its start." }
+            @for (name, laps) in laps {
+                @if let Some(alike) = alike(laps) {
+                    p {
+                        (name.replace('_', " ")) ": the " (alike.count) " laps without a standstill are "
+                        (number(alike.path_mean_m, 4)) " m from the path at the mean, each within "
+                        (number(100.0 * alike.apart, 1)) " % of that."
+                    }
+                }
+            }
+            p { "Lap times are exact to a tick. A lap from rest is slower, and so nearer to the path." }
         },
     );
 }

@@ -12,6 +12,8 @@ pub struct Lap {
     pub path_mean_m: f64,
     /// Its largest value.
     pub path_max_m: f64,
+    /// Whether the vehicle stood at some tick, as in a start from rest.
+    pub stood: bool,
 }
 
 /// Adds up the laps of a drive, tick by tick. A lap begins at the first tick at which the nearest point of the path lies
@@ -30,6 +32,9 @@ pub struct LapRecorder {
 }
 
 impl LapRecorder {
+    /// A vehicle that is slower than this stands.
+    const STANDS_BELOW_MPS: f64 = 0.05;
+
     /// Before the first tick of a drive.
     pub fn new(path: Path, tick_s: f64) -> Self {
         Self {
@@ -44,18 +49,19 @@ impl LapRecorder {
         }
     }
 
-    /// Adds a tick: where the vehicle is in the map frame, true if that is known. Ticks may be missing.
-    pub fn add(&mut self, tick: u64, x_m: f64, y_m: f64) {
+    /// Adds a tick: where the vehicle is in the map frame, true if that is known, and its speed. Ticks may be missing.
+    pub fn add(&mut self, tick: u64, x_m: f64, y_m: f64, speed_mps: f64) {
         let distance_m = self.follower.distance_m(&self.path, x_m, y_m);
         // One that is back behind the line, by noise, is still in the lap that had begun.
         while self.laps.len() <= self.follower.lap(&self.path) {
             self.close(tick);
-            self.laps.push(Lap { time_s: None, path_mean_m: 0.0, path_max_m: 0.0 });
+            self.laps.push(Lap { time_s: None, path_mean_m: 0.0, path_max_m: 0.0, stood: false });
         }
         (self.distance_m, self.count) = (self.distance_m + distance_m, self.count + 1);
         if let Some(lap) = self.laps.last_mut() {
             lap.path_mean_m = self.distance_m / self.count as f64;
             lap.path_max_m = lap.path_max_m.max(distance_m);
+            lap.stood |= speed_mps.abs() < Self::STANDS_BELOW_MPS;
         }
         self.last_tick = tick;
     }

@@ -24,6 +24,8 @@ pub struct Path {
     /// Shared by all copies: a fleet drives the same path. Those of all laps, one after the other.
     segments: Arc<[Segment]>,
     laps: usize,
+    /// It ends where it begins, and what follows its end is its beginning.
+    is_closed: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -163,7 +165,7 @@ impl Path {
         // The last point of a lap is the first one of the next.
         let more = config.points[1..].iter().cycle().take((config.points.len() - 1) * (laps - 1));
         let points: Vec<_> = config.points.iter().chain(more).copied().collect();
-        Self { segments: arcs_through(&points).into(), laps }
+        Self { segments: arcs_through(&points).into(), laps, is_closed: config.is_closed() }
     }
 
     fn from_pieces(config: &PathConfig) -> Self {
@@ -199,7 +201,7 @@ impl Path {
             segments.push(segment);
         }
         assert!(!segments.is_empty(), "a resolved path has a piece");
-        Self { segments: segments.into(), laps: 1 }
+        Self { segments: segments.into(), laps: 1, is_closed: false }
     }
 
     /// How many laps it has; 1 unless a closed path is driven several times.
@@ -236,6 +238,17 @@ impl Path {
         let after = self.segments.partition_point(|segment| segment.from_m <= along_m);
         let segment = &self.segments[after.saturating_sub(1)];
         segment.at((along_m - segment.from_m).clamp(0.0, segment.length_m))
+    }
+
+    /// As [`Path::at`], but beyond the end of a closed path lies its beginning.
+    pub fn at_or_round(&self, along_m: f64) -> Pose {
+        let beyond_m = along_m - self.length_m();
+        self.at(if self.is_closed && beyond_m > 0.0 { beyond_m } else { along_m })
+    }
+
+    /// Whether it is a closed path through points, in laps or once round.
+    pub fn is_closed(&self) -> bool {
+        self.is_closed
     }
 
     /// Pose of the path's end.

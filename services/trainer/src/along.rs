@@ -33,7 +33,7 @@ pub(crate) struct Sums {
 impl Sums {
     fn add(&mut self, row: &Row) {
         if let Some(laps) = &mut self.laps {
-            laps.add(row.tick, row.x_m, row.y_m);
+            laps.add(row.tick, row.x_m, row.y_m, row.speed_mps);
         }
         if let Some(single) = &mut self.single {
             single.add(row);
@@ -46,6 +46,7 @@ impl Sums {
             time_s: it.time_s,
             path_mean_m: it.path_mean_m,
             path_max_m: it.path_max_m,
+            stood: it.stood,
         };
         Some(self.laps.take()?.finish(arrived).into_iter().map(lap).collect())
     }
