@@ -20,6 +20,10 @@ use crate::result::Choice;
 const STEADY: usize = 6;
 /// among so many of the best sets.
 const LOOKED_AT: usize = 200;
+/// How many sets are asked at most until one of them holds on all plants that choose,
+const ASKED: usize = 100;
+/// so many at a time.
+const TOGETHER: usize = 20;
 
 impl Finalists {
     /// The finalists of a training over plants: if few of them hold, the best ones that do are added.
@@ -46,41 +50,87 @@ impl Finalists {
 
     /// The set that is chosen, and how it does on plants that chose nothing. Passes its progress, as a share, to
     /// `progress`.
+    ///
+    /// The best sets of a training are much alike: where one of them does not arrive on a plant, none may. Then more sets
+    /// are asked, the best first, and those that do better become finalists.
     pub(crate) fn choose_over_plants(
+        &mut self,
+        config: &RunConfig,
+        training: &Training,
+        progress: impl Fn(f64) + Sync,
+    ) -> Choice {
+        let objective = training.objective();
+        let plants = choosing_plants(config);
+        let mut ranks = self.ranks(config, objective, &plants, &self.sets, |it| progress(0.3 * it));
+        let others: Vec<Visited> = best_first(training)
+            .filter(|it| self.sets.iter().all(|known| known.parameters != it.parameters))
+            .take(ASKED.saturating_sub(self.sets.len()))
+            .collect();
+        let mut plausible = Plausible::new(config);
+        for (asked, few) in others.chunks(TOGETHER).enumerate() {
+            let first = |(set, rank): (&Visited, &Rank)| {
+                (set.visits > 0).then_some((rank.not_arrived, rank.fragile))
+            };
+            let best = self.sets.iter().zip(&ranks).filter_map(first).min();
+            if !config.is_to_arrive() || best == Some((0, false)) {
+                break;
+            }
+            let share = |it: f64| (asked as f64 + it) * TOGETHER as f64 / ASKED as f64;
+            let found =
+                self.ranks(config, objective, &plants, few, |it| progress(0.3 + 0.4 * share(it)));
+            for (set, rank) in few.iter().zip(found) {
+                // Whether it is fragile takes longer to say, and matters only then.
+                if best.is_some_and(|(not_arrived, _)| rank.not_arrived > not_arrived) {
+                    continue;
+                }
+                let fragile = plausible.is_fragile(&set.parameters);
+                if best.is_none_or(|best| (rank.not_arrived, fragile) < best) {
+                    self.sets.push(Visited { fragile, ..*set });
+                    ranks.push(Rank { fragile, ..rank });
+                }
+            }
+        }
+        // Plants of the car, not the faster drive beside them: a value at another speed is another value.
+        let mut of_car = config.clone();
+        of_car.over.by = OverBy::Nominal;
+        let changes = of_car.plant_changes();
+        let fresh: Vec<PlantChange> =
+            fresh_plants(config, &changes).take(self.fresh as usize).collect();
+        let sets = parameters(&self.sets);
+        let share = |it: f64| progress(0.7 + 0.3 * it);
+        let told: Vec<Vec<f64>> = drives_on(config, &fresh, Purpose::Telling, &sets, share)
+            .iter()
+            .map(|drives| drives.iter().map(|it| objective.of(it)).collect())
+            .collect();
+        let values: Vec<&[f64]> = told.iter().map(Vec::as_slice).collect();
+        self.chosen(config, &ranks, &values, plants.len() as u64)
+    }
+
+    /// How sets rank on plants that choose.
+    fn ranks(
         &self,
         config: &RunConfig,
         objective: &Objective,
+        plants: &[PlantChange],
+        sets: &[Visited],
         progress: impl Fn(f64) + Sync,
-    ) -> Choice {
-        let sets: Vec<Parameters> = self.sets.iter().map(|it| it.parameters).collect();
-        let drive = |plants: Vec<PlantChange>, purpose: Purpose, from: f64, to: f64| {
-            let share = |done: f64| progress(from + done * (to - from));
-            drives_on(config, &plants, purpose, &sets, share)
-        };
-        let choosing = drive(choosing_plants(config), Purpose::Choosing, 0.0, 0.5);
+    ) -> Vec<Rank> {
         let judge = Judge::by_objective(config, *objective);
         let is_to_arrive = config.is_to_arrive();
-        let ranks: Vec<Rank> = choosing
+        drives_on(config, plants, Purpose::Choosing, &parameters(sets), progress)
             .iter()
-            .zip(&self.sets)
+            .zip(sets)
             .map(|(drives, set)| Rank {
                 not_arrived: drives.iter().filter(|it| is_to_arrive && !it.arrived()).count(),
                 fragile: set.fragile,
                 cost: objective.of(&judge.together(drives)),
             })
-            .collect();
-        // Plants of the car, not the faster drive beside them: a value at another speed is another value.
-        let mut of_car = config.clone();
-        of_car.over.by = OverBy::Nominal;
-        let changes = of_car.plant_changes();
-        let fresh = fresh_plants(config, &changes).take(self.fresh as usize).collect();
-        let told: Vec<Vec<f64>> = drive(fresh, Purpose::Telling, 0.5, 1.0)
-            .iter()
-            .map(|drives| drives.iter().map(|it| objective.of(it)).collect())
-            .collect();
-        let values: Vec<&[f64]> = told.iter().map(Vec::as_slice).collect();
-        self.chosen(config, &ranks, &values, choosing[0].len() as u64)
+            .collect()
     }
+}
+
+fn parameters(sets: &[Visited]) -> Vec<Parameters> {
+    sets.iter().map(|it| it.parameters).collect()
 }
 
 /// The sets that a training has driven, the best first.

@@ -1,5 +1,4 @@
 use config::{Layers, Parameters, RunConfig};
-use tracking::Objective;
 
 use crate::over::{Purpose, on_plant};
 use crate::plants::{Plausible, fresh_plants};
@@ -19,6 +18,34 @@ fn over_plants(name: &str, seed: u64, sets: &[&str]) -> RunConfig {
             let mut layers = Layers::own_path();
             layers.set_vehicle("--vehicle", "f1tenth").unwrap();
             layers.set("reference.speed_mps=2.0").unwrap();
+            layers
+        }
+        "loop" => {
+            // A closed line through eight places, with bends to both sides, for a car of scale 1:10.
+            const PLACES: [[f64; 2]; 8] = [
+                [0.0, 0.0],
+                [4.0, -1.0],
+                [9.0, 0.0],
+                [11.0, 3.0],
+                [8.0, 6.0],
+                [4.0, 5.0],
+                [0.0, 7.0],
+                [-3.0, 4.0],
+            ];
+            let cos = |turns: f64| libm::cos(std::f64::consts::TAU * turns);
+            let share = |at: f64| {
+                (1.0 + 2.0 * (cos(at) + cos(2.0 * at) + cos(3.0 * at)) + cos(4.0 * at)) / 8.0
+            };
+            let point = |at: f64| {
+                let shares = (0..8).map(|place| share(at - f64::from(place) / 8.0));
+                let all = shares.zip(PLACES);
+                all.fold([0.0, 0.0], |[x, y], (by, [a, b])| [x + by * a, y + by * b])
+            };
+            let rows = (0..=200).map(|it| point(f64::from(it) / 200.0));
+            let rows: String = rows.map(|[x, y]| format!("{x:.5},{y:.5}\n")).collect();
+            std::fs::write(&file, format!("x_m,y_m\n{rows}")).unwrap();
+            let mut layers = Layers::own_path();
+            layers.set_vehicle("--vehicle", "f1tenth").unwrap();
             layers
         }
         "curvy" => {
@@ -86,10 +113,9 @@ impl OnFresh {
 fn before_and_after(config: &RunConfig) -> [Parameters; 2] {
     let training = train_by_rollout(config);
     let ranking = Ranking::by_rollout(config);
-    let objective: Objective = *training.objective();
     let before = training.tuner().recommend(&|a, b| ranking.compare(a, b));
-    let finalists = Finalists::over_plants(config, &training);
-    let choice = finalists.choose_over_plants(config, &objective, |_| {});
+    let mut finalists = Finalists::over_plants(config, &training);
+    let choice = finalists.choose_over_plants(config, &training, |_| {});
     [before, choice.parameters]
 }
 

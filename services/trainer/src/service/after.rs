@@ -222,9 +222,8 @@ impl Trainer {
                 choice.rank_mean = Some(rank_mean(&config, objective, set, progress));
             }
             if choice.is_none() && config.is_over_plants() {
-                let finalists = Finalists::over_plants(&config, &training);
-                choice =
-                    Some(finalists.choose_over_plants(&config, training.objective(), progress));
+                let mut finalists = Finalists::over_plants(&config, &training);
+                choice = Some(finalists.choose_over_plants(&config, &training, progress));
             }
             let ranking = Ranking::by_rollout(&config);
             let recommend = || training.tuner().recommend(&|a, b| ranking.compare(a, b));
