@@ -39,7 +39,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     if let Some(seed) = args.seed {
         config.run.seed = seed;
     }
-    let file = file_of(args, &config.maneuver);
+    let file = file_of(args, &config.gains_name());
     if file.exists() {
         let file = file.display();
         return Err(Failure::User(format!(

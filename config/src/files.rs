@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The largest text that is read.
 const MOST_BYTES: u64 = 16 << 20;
@@ -34,12 +34,23 @@ pub fn open_regular(path: &Path) -> io::Result<fs::File> {
     // Before it is opened: opening a pipe would wait for somebody who writes.
     let meta = fs::metadata(path)?;
     if meta.is_dir() {
-        return Err(io::ErrorKind::IsADirectory.into());
+        return Err(match bag_in(path) {
+            Some(bag) => {
+                io::Error::other(format!("it is a folder; name the bag in it, {}", bag.display()))
+            }
+            None => io::ErrorKind::IsADirectory.into(),
+        });
     }
     if !meta.is_file() {
         return Err(io::Error::other("it is not a regular file"));
     }
     fs::File::open(path)
+}
+
+/// The first bag in a folder: `ros2 bag record` makes a folder, and people name that.
+fn bag_in(folder: &Path) -> Option<PathBuf> {
+    let files = fs::read_dir(folder).ok()?.take(1000).filter_map(|entry| Some(entry.ok()?.path()));
+    files.filter(|file| file.extension().is_some_and(|it| it == "mcap")).min()
 }
 
 /// Reads a table in text form, and fails at a line that is longer than any sensible one: a reader of such tables keeps a

@@ -74,12 +74,13 @@ fn noise(v: &Vehicle) -> Result<(), Problem> {
 fn speeds(config: &RunConfig) -> Result<(), Problem> {
     let (asked_mps, limit_mps) = (config.reference.speed_mps, config.supervisor.speed_limit_mps);
     let is_asked_for = config.path.speeds_mps.is_empty();
-    if !is_asked_for || asked_mps <= limit_mps.min(config.vehicle.speed_limit_mps) {
+    let limit_mps = limit_mps.min(config.vehicle.speed_limit_mps);
+    if !is_asked_for || asked_mps <= limit_mps {
         return Ok(());
     }
     let problem = format!(
-        "is {asked_mps}, but the limit is {}; lower it, or raise vehicle.speed_limit_mps and supervisor.speed_limit_mps",
-        limit_mps.min(config.vehicle.speed_limit_mps)
+        "is {asked_mps}, but the limit is {limit_mps}; drive more slowly, as with --set reference.speed_mps={limit_mps}, or raise \
+         vehicle.speed_limit_mps and supervisor.speed_limit_mps"
     );
     Err(("reference.speed_mps".to_owned(), problem))
 }

@@ -80,6 +80,7 @@ pub(crate) fn make(
     }
     tell_of_swings(file, &path);
     if !path.speeds_mps.is_empty() {
+        keep_stops(&file.speeds_mps, &mut path);
         let last = path.speeds_mps.len() - 1;
         for speed_mps in &mut path.speeds_mps[..last] {
             *speed_mps = speed_mps.max(SLOWEST_MPS);
@@ -150,6 +151,16 @@ fn tell_of_swings(file: &mut PathFile, path: &Resampled) {
             file.lines[at],
             file.lines[at + 1]
         ));
+    }
+}
+
+/// Where the file says 0 on the way, so does the line: its own points may lie on both sides of such a point, and miss it.
+fn keep_stops(given_mps: &[f64], path: &mut Resampled) {
+    let last = path.speeds_mps.len() - 1;
+    let inner = 1..given_mps.len().saturating_sub(1);
+    for stop in inner.filter(|index| given_mps[*index] == 0.0) {
+        let at = path.given.partition_point(|given| *given < stop).min(last);
+        path.speeds_mps[at] = 0.0;
     }
 }
 

@@ -253,7 +253,12 @@ fn zone_value(name: &str, from_m: f64) -> Value {
 fn read(file: &Path, hint: &str) -> Result<Vec<u8>, ConfigError> {
     let origin = file.display().to_string();
     let unreadable = |error: std::io::Error| {
-        let problem = format!("cannot be read: {error}; {hint}");
+        // A folder with a bag in it says itself what to name.
+        let hint = match error.kind() {
+            std::io::ErrorKind::Other => String::new(),
+            _ => format!("; {hint}"),
+        };
+        let problem = format!("cannot be read: {error}{hint}");
         ConfigError::new(&origin, "", problem)
     };
     let mut bytes = Vec::new();
@@ -428,6 +433,36 @@ mod tests {
         assert!(message.starts_with("/no/such.csv: cannot be read: "), "{message}");
         let folder = tempfile::tempdir().unwrap();
         assert!(own_path(folder.path()).unwrap_err().to_string().contains("cannot be read"));
+    }
+
+    #[test]
+    fn of_a_folder_with_a_bag_the_bag_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["metadata.yaml", "run_0.mcap"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let message = own_path(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("it is a folder; name the bag in it, "), "{message}");
+        assert!(message.ends_with("run_0.mcap"), "{message}");
+    }
+
+    #[test]
+    fn a_stop_on_the_way_is_not_lost_between_the_line_s_points() {
+        // The points of the line lie 0.25 m apart, and on both sides of the stop.
+        let rows = (0..60).map(|it| (0.18 * f64::from(it), if it == 30 { 0.0 } else { 2.0 }));
+        let rows: String = rows.map(|(x_m, v_mps)| format!("{x_m:.2},0,{v_mps}\n")).collect();
+        let config = resolve(&format!("x_m,y_m,v_mps\n{rows}"), None).unwrap();
+        let slowest = config.path.speeds_mps.iter().copied().fold(f64::INFINITY, f64::min);
+        assert_eq!(slowest, 0.1);
+    }
+
+    #[test]
+    fn a_car_slower_than_the_usual_speed_is_told_which_speed_it_can_drive() {
+        let (_folder, file) = folder(STRAIGHT, None);
+        let mut layers = own_path(&file).unwrap();
+        layers.set("vehicle.speed_limit_mps=1.2").unwrap();
+        let message = layers.resolve().unwrap_err().to_string();
+        assert!(message.contains("--set reference.speed_mps=1.2"), "{message}");
     }
 
     #[test]

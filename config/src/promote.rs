@@ -328,7 +328,7 @@ mod tests {
             rank_value: None,
             rank_distance: Some(8),
             rank_mean: Some(3),
-            mean_low: Some(0.25),
+            mean_low: Some(-0.25),
             mean_high: None,
             pathtune: "0.1.0".to_owned(),
         }

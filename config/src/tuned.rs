@@ -254,11 +254,12 @@ fn check_set(
         ("mse_m2", Some(it.mse_m2)),
         ("path_mean_m", it.path_mean_m),
         ("path_max_m", it.path_max_m),
-        ("mean_low", it.mean_low),
         ("mean_high", it.mean_high),
     ] {
         within(&format!("{key}.{name}"), number.unwrap_or_default(), 0.0, 1e12)?;
     }
+    // The interval of a mean over few drives of which one went wrong reaches below 0.
+    within(&format!("{key}.mean_low"), it.mean_low.unwrap_or_default(), -1e12, 1e12)?;
     Ok(())
 }
 
@@ -367,6 +368,16 @@ mod tests {
         let text = text.replace(&config.vehicle_preset, "tesla_model_3");
         again.add_document("resolved.toml", &text).unwrap();
         assert_eq!(again.resolve().unwrap().vehicle, config.vehicle);
+    }
+
+    #[test]
+    fn an_interval_of_their_mean_that_reaches_below_zero_is_none_of_the_user_s_mistakes() {
+        let origin = "[gains.lane_change.provenance]\ndigest='a'\npromoted_at=''\nrun=''\nmaneuver='lane_change'\n\
+            vehicle=''\nseed=1\nalphas=[]\nnoise=false\ndistance=0.1\nmse_m2=0.1\npathtune='0'\n";
+        let with = |low: f64| format!("{FILE}{origin}mean_low={low}\nmean_high=0.4\n");
+        let found = resolve(&with(-0.02)).unwrap().vehicle.gains["lane_change"].clone();
+        assert_eq!(found.provenance.unwrap().mean_low, Some(-0.02));
+        assert!(resolve(&with(-1e13)).unwrap_err().contains("mean_low"));
     }
 
     #[test]

@@ -78,6 +78,10 @@ pub(super) fn notes(
     notes.extend(found.drive_next.iter().map(|next| format!("not identified: drive {next}")));
     if !write {
         notes.push(match refusal {
+            None if !file.is_file() => format!(
+                "these values can be written into a file of your own: put base = \"{}\" into one, and name that with --vehicle",
+                file.display()
+            ),
             None => format!("--write puts these values into {}", file.display()),
             Some(why) => format!("--write would be refused: {why}"),
         });

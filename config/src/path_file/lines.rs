@@ -33,15 +33,25 @@ impl Delimiter {
     /// The fields of a line, without the quotes and brackets that some programs put around them, and without an empty one
     /// behind a separator at the line's end.
     pub(super) fn fields(self, line: &str) -> Vec<&str> {
-        let all: Vec<&str> = match self {
-            Self::Sign(sign) => line.split(sign).collect(),
-            Self::Space => line.split_whitespace().collect(),
-        };
-        let mut fields: Vec<&str> = all.into_iter().map(bare).collect();
+        let mut fields = self.all_fields(line);
         if self != Self::Space && fields.len() > 2 && fields.last() == Some(&"") {
             fields.pop();
         }
         fields
+    }
+
+    /// The same where a line is to have so many: an empty one at its end may be one of them.
+    pub(super) fn fields_of(self, line: &str, count: usize) -> Vec<&str> {
+        let all = self.all_fields(line);
+        if all.len() == count { all } else { self.fields(line) }
+    }
+
+    fn all_fields(self, line: &str) -> Vec<&str> {
+        let all: Vec<&str> = match self {
+            Self::Sign(sign) => line.split(sign).collect(),
+            Self::Space => line.split_whitespace().collect(),
+        };
+        all.into_iter().map(bare).collect()
     }
 
     /// It in words.

@@ -168,7 +168,7 @@ fn flattened(origin: &str, raw: Raw, options: &PathOptions) -> Result<PathFile, 
             }
             seen_from = degrees[0];
             notes.push(format!(
-                "latitude and longitude (WGS 84) taken as metres east and north of the first point, {}, {}",
+                "latitude and longitude (WGS 84) taken as metres east and north of the first point, latitude {}, longitude {}",
                 seen_from[0], seen_from[1]
             ));
             geo::from_degrees(&degrees)

@@ -313,7 +313,7 @@ impl Table<'_> {
         let count = self.delimiter.fields(first).len();
         let mut rows = Vec::new();
         for (line, content) in self.data.iter().take(ENOUGH) {
-            let fields = self.delimiter.fields(content);
+            let fields = self.delimiter.fields_of(content, count);
             if fields.len() != count {
                 let problem = format!(
                     "has {} fields, but line {} has {count}; separate them by {}",
@@ -366,7 +366,7 @@ impl Table<'_> {
                 repeated += 1;
                 continue;
             }
-            let fields = self.delimiter.fields(content);
+            let fields = self.delimiter.fields_of(content, count);
             if fields.len() != count {
                 return Err(self.fails(*line, self.uneven(plan, fields.len(), count)));
             }

@@ -27,6 +27,7 @@ fn every_mistake_names_its_line_and_the_way_out() {
     check("# x_m;y_m\n\n# end\n", &["p.csv:1:", "no points"]);
     check("a,b\n1,2", &["p.csv:1:", "no columns x_m and y_m", "\"a, b\"", "--columns"]);
     check("1\n2\n3", &["p.csv:1:", "one column"]);
+    check("x_m,y_m,v_mps\n0,0,1\n1,0,\n", &["p.csv:3:", "v_mps is empty"]);
     check("x,y,speed\n0,0,2\n1,0,2\n", &["p.csv:1:", "speed without a unit", "v_mps=3", "v_kmh=3"]);
     check("x_yd,y_yd\n0,0\n1,0\n", &["p.csv:1:", "in yd", "--columns"]);
     check("lat,lon,speed\n48,11,2\n48,11.01,2\n", &["p.csv:1:", "lat=1,lon=2,v_mps=3"]);

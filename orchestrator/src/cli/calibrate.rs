@@ -54,7 +54,8 @@ pub struct CalibrateArgs {
     /// Set one key, overriding everything else; repeatable
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// The envelope's file [default: envelope.toml in the training's folder, or MANEUVER.envelope.toml]
+    /// The envelope's file [default: envelope.toml in the training's folder, or MANEUVER.envelope.toml;
+    /// of a path of your own, its name stands for the manoeuvre]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Print everything as JSON

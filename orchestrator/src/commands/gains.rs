@@ -259,7 +259,7 @@ fn promote(
         return Err(Failure::User(format!(
             "{}: the set is fragile, {why}; {}; or insist with --force",
             run.display(),
-            words_of_plants::steadier(trained.config.is_over_plants())
+            words_of_plants::steadier(&trained.config)
         )));
     }
     let along = trained.envelope(run, file, &vehicle, maneuver);

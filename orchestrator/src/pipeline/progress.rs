@@ -37,6 +37,8 @@ pub(crate) struct Progress {
     tick_s: f64,
     /// Name of the objective.
     objective: String,
+    /// The last line, where there is no terminal: it is not repeated.
+    last: String,
 }
 
 impl Progress {
@@ -53,7 +55,16 @@ impl Progress {
         let now = Instant::now();
         let words = (!quiet).then_some(words);
         let objective = objective.to_owned();
-        Self { words, written, is_terminal, started: now, shown: now, tick_s, objective }
+        Self {
+            words,
+            written,
+            is_terminal,
+            started: now,
+            shown: now,
+            tick_s,
+            objective,
+            last: String::new(),
+        }
     }
 
     fn put(&self, words: Words) {
@@ -86,6 +97,10 @@ impl Progress {
         } else {
             self.message(learners, counts)
         };
+        if !self.is_terminal && message == self.last {
+            return;
+        }
+        self.last.clone_from(&message);
         self.put(Words::State { message, of: (all > 0).then_some((done, all)) });
     }
 

@@ -62,7 +62,12 @@ fn verdict(beside: &Baselines, tuned: &Measures) -> String {
     let by = beside.ratio.map_or(String::new(), |ratio| {
         format!(" ({} % of its distance)", digits(100.0 * ratio, 0))
     });
+    // What rounds to the same distance is no win.
+    let is_as_near = |ratio: f64| (0.995..1.0).contains(&ratio);
     match (beside.beaten, tuned.arrived || !best.measures.arrived) {
+        (true, _) if beside.ratio.is_some_and(is_as_near) => format!(
+            "the tuned set is as near to the path as the best textbook set, {name}: {figures}{by}"
+        ),
         (true, _) => format!("the tuned set beats the best textbook set, {name}: {figures}{by}"),
         (false, true) => format!(
             "the tuned set does not beat the best textbook set, {name}: {figures}{by}; drive that one, or tune its law"
@@ -97,6 +102,8 @@ mod tests {
         let better = words(true, 0.25, of(0.025, true));
         assert!(better.contains("beats the best textbook set, stanley, dead time compensated"));
         assert!(better.contains("0.0250 m against 0.1000 m") && better.contains("25 %"));
+        let same = words(true, 0.996, of(0.0996, true));
+        assert!(same.contains("is as near") && !same.contains("beats"), "{same}");
         assert!(words(false, 1.5, of(0.15, true)).contains("does not beat"));
         assert!(words(false, 0.5, of(0.05, false)).contains("does not arrive"));
     }

@@ -40,7 +40,7 @@ pub(super) fn print(it: &PlantCheck, config: &RunConfig) -> Result<(), Failure> 
     if let Some(line) = it.margin.as_ref().map(margin) {
         say!("{line}");
     }
-    say!("{}", verdict(it, config.is_over_plants()));
+    say!("{}", verdict(it, config));
     let fresh = &it.fresh;
     let missing = match fresh.not_arrived {
         count if count > 0 && config.is_to_arrive() => format!(", {count} did not arrive"),
@@ -111,22 +111,24 @@ pub(crate) fn margin(it: &Margin) -> String {
 }
 
 /// What helps where a set is fragile. A training over plants chooses one that is not, if it has driven one.
-pub(crate) fn steadier(is_over_plants: bool) -> &'static str {
-    if is_over_plants {
-        "none of the best sets that were driven over plants holds: drive more slowly (reference.speed_mps, or the path's \
-         speeds), or train another law, as in --law pure_pursuit"
-    } else {
-        "train with --over default or with another law, or take a steadier set"
+pub(crate) fn steadier(config: &RunConfig) -> String {
+    if !config.is_over_plants() {
+        return "train with --over default or with another law, or take a steadier set".to_owned();
     }
+    // That of the training does not help.
+    let other = if config.law.name == "pure_pursuit" { "stanley" } else { "pure_pursuit" };
+    format!(
+        "none of the best sets that were driven over plants holds: drive more slowly (reference.speed_mps, or the path's \
+         speeds), or train another law, as in --law {other}"
+    )
 }
 
 /// Whether the set is fragile, and why.
-pub(crate) fn verdict(it: &PlantCheck, is_over_plants: bool) -> String {
+pub(crate) fn verdict(it: &PlantCheck, config: &RunConfig) -> String {
     match &it.fragile {
-        Some(why) => format!(
-            "the set is fragile: {why}. It may shake on the car; {}",
-            steadier(is_over_plants)
-        ),
+        Some(why) => {
+            format!("the set is fragile: {why}. It may shake on the car; {}", steadier(config))
+        }
         None => {
             let known = it.margin.as_ref().and_then(|it| it.additional_dead_time_s);
             let and = known.map_or(String::new(), |margin_s| {
@@ -135,6 +137,24 @@ pub(crate) fn verdict(it: &PlantCheck, is_over_plants: bool) -> String {
             format!(
                 "the set is not fragile: no such plant takes it more than twice as far from the path{and}"
             )
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use config::Layers;
+
+    #[test]
+    fn what_may_hold_instead_is_another_law() {
+        for (law, other) in [("pure_pursuit", "--law stanley"), ("stanley", "--law pure_pursuit")] {
+            let mut layers = Layers::maneuver("smooth_lane").unwrap();
+            layers.set_law("--law", law).unwrap();
+            let alone = super::steadier(&layers.clone().resolve().unwrap());
+            assert!(alone.contains("--over default"), "{alone}");
+            layers.set("over.by=mean").unwrap();
+            let over = super::steadier(&layers.resolve().unwrap());
+            assert!(over.contains(other), "{over}");
         }
     }
 }

@@ -104,7 +104,7 @@ fn print_validation(it: &ValidateResult, config: &RunConfig) -> Result<(), Failu
     for row in &it.rows {
         if let Some(check) = &row.plants {
             let set: Vec<String> = row.gains.iter().map(plants::named).collect();
-            say!("{}: {}", set.join(" / "), plants::verdict(check, config.is_over_plants()));
+            say!("{}: {}", set.join(" / "), plants::verdict(check, config));
         }
     }
     if let Some(factor) = it.rms_factor {

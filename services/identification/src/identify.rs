@@ -11,7 +11,8 @@ use crate::levenberg::white_noise_sd;
 use crate::prediction::{self, Car, FOLDS, Prediction, is_held_out};
 use crate::refusal::Refusal;
 use crate::rows::{
-    Row, delay_and_lag, limits_of_speed, limits_of_steering, slip_row, speed_rows, steering_rows,
+    Row, SPEED_STEPS, delay_and_lag, limits_of_speed, limits_of_steering, slip_row, speed_rows,
+    steering_rows,
 };
 use crate::slip::fit_slip;
 use crate::speed::Speed;
@@ -121,10 +122,20 @@ const SHORTEST_S: f64 = 20.0;
 const FOLLOWS: f64 = 0.5;
 /// No more than this is fitted.
 const LONGEST_S: f64 = 150.0;
+/// Wheels turn by less than a right angle; commands beyond it are degrees, or those of a servo.
+const MOST_STEERING_RAD: f64 = std::f64::consts::FRAC_PI_2;
 /// How far ahead is predicted.
 const HORIZONS_S: [f64; 2] = [1.0, 3.0];
 /// Above this share, the measured speed is called wrong.
 const SCALE_SHARE: f64 = 0.01;
+
+/// The largest commanded angle, but for one command in a hundred, which may be a slip of the recorder.
+fn most_steering_rad(drive: &[Stretch]) -> f64 {
+    let commands = drive.iter().flat_map(|it| &it.commands);
+    let mut angles: Vec<f64> = commands.map(|it| it.steering_rad.abs()).collect();
+    angles.sort_by(f64::total_cmp);
+    angles.get((99 * angles.len()) / 100).copied().unwrap_or_default()
+}
 
 /// Identifies a car from drives in it.
 ///
@@ -143,6 +154,10 @@ pub fn identify(
     let moving_s: f64 = chosen.iter().map(Stretch::moving_s).sum();
     if moving_s < SHORTEST_S {
         return Err(Refusal::TooShort { moving_s, needed_s: SHORTEST_S });
+    }
+    let most_rad = most_steering_rad(&chosen);
+    if most_rad > MOST_STEERING_RAD {
+        return Err(Refusal::NotRadians { most_rad });
     }
     match computed(&chosen) {
         Some(Computed::Zero) => return Err(Refusal::NoYawRate),
@@ -211,14 +226,24 @@ pub fn identify(
         rows,
     };
     found.warnings = warnings(&found, &of_steering);
-    for row in found.rows.iter().filter(|row| !row.identified && !row.agrees) {
-        if let Some(next) = row.drive_next()
-            && !found.drive_next.iter().any(|it| it == next)
-        {
-            found.drive_next.push(next.to_owned());
+    found.drive_next = drive_next(&found.rows);
+    Ok(found)
+}
+
+/// What to drive so that more keys show, each once.
+fn drive_next(rows: &[Row]) -> Vec<String> {
+    let is_told = |key: &str| rows.iter().any(|it| it.key == key && it.identified);
+    // Steps of the speed tell its dead time and its gain first. Where they did, more of them would tell no more.
+    let has_steps = is_told("speed_delay_s") && is_told("speed_kp");
+    let mut next: Vec<String> = Vec::new();
+    for row in rows.iter().filter(|row| !row.identified && !row.agrees) {
+        let Some(drive) = row.drive_next() else { continue };
+        let was_driven = has_steps && drive == SPEED_STEPS;
+        if !was_driven && next.iter().all(|it| it != drive) {
+            next.push(drive.to_owned());
         }
     }
-    Ok(found)
+    next
 }
 
 /// What blocks of the drive tell of the rear axle's slip, for a model that has such a key.

@@ -12,6 +12,11 @@ pub enum Refusal {
         /// How long it has to.
         needed_s: f64,
     },
+    /// No wheels turn as far as the commands say.
+    NotRadians {
+        /// The largest commanded angle.
+        most_rad: f64,
+    },
     /// The yaw rate is computed from the command.
     Computed {
         /// The wheelbase in the formula.
@@ -36,6 +41,11 @@ impl fmt::Display for Refusal {
             Self::TooShort { moving_s, needed_s } => write!(
                 f,
                 "the car moves for {moving_s:.1} s without a gap in the odometry, and {needed_s:.0} s are needed: record a longer drive"
+            ),
+            Self::NotRadians { most_rad } => write!(
+                f,
+                "the commanded steering angle reaches {most_rad:.1}, and no wheels turn by so many radians: give it in radians, of \
+                 the road wheels (1° is 0.01745)"
             ),
             Self::Computed { wheelbase_m } => write!(
                 f,

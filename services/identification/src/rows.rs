@@ -8,6 +8,9 @@ use crate::identify::{Options, Point};
 use crate::slip::Slip;
 use crate::{speed, steering};
 
+/// What tells the speed loop.
+pub(crate) const SPEED_STEPS: &str = "steps of the commanded speed, up and down";
+
 /// A key of a vehicle's file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
@@ -49,7 +52,7 @@ impl Row {
             "tracked_point_m" | "ros2.odometry_point_m" => "tight bends to both sides",
             "rear_slip_s2pm" => "bends to both sides, slowly and as fast as it is to drive",
             "speed_delay_s" | "speed_kp" | "speed_ki" | "pedal_lag_s" | "drag_per_s"
-            | "rolling_decel_mps2" => "steps of the commanded speed, up and down",
+            | "rolling_decel_mps2" => SPEED_STEPS,
             "throttle_accel_mps2" => "a step of the commanded speed that needs full throttle",
             "brake_decel_mps2" => "a step down of the commanded speed that needs full brake",
             _ => return None,

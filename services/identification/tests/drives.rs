@@ -70,6 +70,9 @@ fn a_car_that_turns_the_wrong_way_or_as_it_likes_is_refused() {
     let mut by_hand = driven.clone();
     by_hand.commands.iter_mut().for_each(|it| it.steering_rad = 0.01 * dice.normal());
     assert!(matches!(refusal(by_hand, &file), Refusal::DoesNotFollow { .. }));
+    let mut in_degrees = driven.clone();
+    in_degrees.commands.iter_mut().for_each(|it| it.steering_rad = it.steering_rad.to_degrees());
+    assert!(matches!(refusal(in_degrees, &file), Refusal::NotRadians { .. }));
     let mut short = driven;
     short.odometry.truncate(1500);
     assert!(matches!(refusal(short, &file), Refusal::TooShort { .. }));
@@ -113,6 +116,10 @@ fn what_is_missing_is_named() {
         let next = row.drive_next().unwrap();
         assert!(found.drive_next.iter().any(|it| it == next));
     }
+    // What was driven is not asked for again, whatever it did not tell.
+    let found = identify(&[excite(&car, &SENSORS, &mut dice)], &file, Options::default()).unwrap();
+    assert!(found.rows.iter().any(|row| row.key == "speed_kp" && row.identified));
+    assert!(found.drive_next.iter().all(|it| !it.starts_with("steps of the commanded speed")));
 }
 
 #[test]
