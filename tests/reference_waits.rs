@@ -321,6 +321,74 @@ fn a_training_whose_car_jumps_in_every_drive_is_given_up_with_the_cause() {
     sandbox.assert_clean();
 }
 
+/// Whoever drives by a script gets an end, and the cause: nobody is there to rearm the car. One whose odometry ends does not
+/// come to stand for its gate, and no tick comes any more.
+#[test]
+fn a_stopped_car_that_nobody_rearms_ends_its_drive_with_the_cause() {
+    for (process, cause, name) in [
+        ("jumping_car", "the measured pose jumped", "odometry_jump"),
+        ("silent_car", "no odometry", "odometry_stale"),
+        ("lost_car", "the odometry is not finite", "odometry_invalid"),
+    ] {
+        let sandbox = Sandbox::new();
+        fs::write(sandbox.path("hairpin.csv"), hairpin()).unwrap();
+        let car = car(process);
+        let args = ["drive", "--path", "hairpin.csv", "--vehicle", "f1tenth", "--realtime"];
+        let limit = ["--set", "drive.patience_s=1.5", "--replace", &car, "--out", "out"];
+        let output = sandbox.run(&[&args[..], &GAINS, &limit].concat());
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        let within = "`pathtune rearm` lets it drive again within 1.5 s (drive.patience_s)";
+        assert!(told.contains(within), "{told}");
+        let end = told.lines().find(|it| it.contains("did not arrive")).unwrap();
+        assert!(end.contains("the gate stopped the vehicle at ") && end.contains(cause), "{told}");
+        let waited = "; nobody rearmed it within 1.5 s (drive.patience_s)";
+        assert!(end.ends_with(waited), "{told}");
+        let result = sandbox.result("out");
+        assert_eq!(result["reason"], "stopped", "{told}");
+        let stopped_for = result["stopped_for"].as_array().unwrap();
+        assert!(stopped_for.iter().any(|it| it == name), "{result}");
+        sandbox.assert_clean();
+    }
+}
+
+#[test]
+fn a_car_that_does_not_begin_ends_its_drive_with_the_cause() {
+    let sandbox = Sandbox::new();
+    let car = car("absent_car");
+    let args = ["drive", "roundabout", "--realtime", "--replace", &car, "--out", "out"];
+    let output = sandbox.run(&[&args[..], &["--set", "drive.patience_s=0.5"]].concat());
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    let end = "the drive did not arrive: it has not begun; the vehicle sent no odometry within 0.5 s (drive.patience_s)";
+    assert!(told.contains(end), "{told}");
+    sandbox.assert_clean();
+}
+
+/// Not a test: a car by the clock that is not there yet.
+#[test]
+#[ignore = "a process of the tests above"]
+fn absent_car() {
+    let (attachment, bus, config) = join().unwrap();
+    attachment.take_place();
+    let mut car = Car { is_silent: true, ..Car::new(&bus, &config, |_, _| {}) };
+    serve(&attachment, &bus, WakeRole::Vehicle, &mut car).unwrap();
+}
+
+/// Not a test: a car by the clock whose odometry ends.
+#[test]
+#[ignore = "a process of the tests above"]
+fn silent_car() {
+    run_car(|tick, car| car.is_silent = tick > 200);
+}
+
+/// Not a test: a car by the clock that does not know where it is any more.
+#[test]
+#[ignore = "a process of the tests above"]
+fn lost_car() {
+    run_car(|tick, car| car.apart.x_m = if tick < 200 { 0.0 } else { f64::NAN });
+}
+
 /// Not a test: a car by the clock whose localisation never comes to rest.
 #[test]
 #[ignore = "a process of the tests above"]
@@ -365,6 +433,8 @@ struct Car {
     fate: fn(u64, &mut Self),
     /// It does not drive, whatever it is told.
     is_held: bool,
+    /// It tells nothing any more.
+    is_silent: bool,
     /// What its localisation adds to its pose.
     apart: Pose,
     tick_ns: u64,
@@ -386,6 +456,7 @@ impl Car {
             vehicle: SimulatedVehicle::new(config),
             fate,
             is_held: false,
+            is_silent: false,
             apart: Pose::default(),
             tick_ns: (config.drive.tick_s * 1e9) as u64,
             age_limit_ns: (config.vehicle.safety.command_age_limit_s * 1e9) as u64,
@@ -406,6 +477,10 @@ impl Car {
     }
 
     fn publish(&mut self, header: TickHeader) -> Result<()> {
+        if self.is_silent {
+            self.header = Some(header);
+            return Ok(());
+        }
         let header = TickHeader { odometry_sent_ns: now_ns(), ..header };
         self.header = Some(header);
         let seen = self.vehicle.observe();

@@ -468,6 +468,8 @@ pub struct Drive {
     pub goal_radius_m: f64,
     #[serde(default = "anywhere")]
     pub area_m: [f64; 4],
+    #[serde(default = "minutes")]
+    pub patience_s: f64,
 }
 
 /// Settings that every control law shares.
@@ -798,6 +800,11 @@ pub const FULL_SIZE_WHEELBASE_M: f64 = 2.875;
 /// An area without bounds.
 fn anywhere() -> [f64; 4] {
     [f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY]
+}
+
+/// How long a drive waits for people, where a configuration of an earlier version does not say.
+fn minutes() -> f64 {
+    300.0
 }
 
 fn derived() -> Limit {

@@ -40,6 +40,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
         return Err(("drive.loop_time_s".to_owned(), problem));
     }
     within("drive.goal_radius_m", c.drive.goal_radius_m, 0.0, 100.0)?;
+    above("drive.patience_s", c.drive.patience_s, 0.0, f64::INFINITY)?;
     area(c)?;
     let fastest_mps = c.vehicle.speed_limit_mps.min(c.supervisor.speed_limit_mps).min(50.0);
     within("drive.start_speed_mps", c.drive.start_speed_mps, 0.0, fastest_mps)?;

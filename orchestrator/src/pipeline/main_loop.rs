@@ -32,6 +32,7 @@ use crate::pipeline::progress::Progress;
 use crate::pipeline::recovery::{RandomKills, Recoveries};
 use crate::pipeline::restart::Decision;
 use crate::pipeline::sequencer::Sequencer;
+use crate::pipeline::standing::{Due, Standing};
 use crate::runs::state::RunState;
 use crate::words::Failure;
 
@@ -88,6 +89,10 @@ pub(crate) struct Pipeline<'a> {
     stops_told: u64,
     /// The gate of each slot.
     gates: Vec<GateLog>,
+    /// For what a vehicle waits, and the reasons of the stop that ended the drive because nobody came.
+    standing: Standing,
+    out_of_patience: Option<u32>,
+    patience_s: f64,
     /// A negative speed may be commanded, which brakes the vehicle.
     brakes: bool,
     /// A process of the ring died, or a message was lost: the batch under way will not end.
@@ -181,6 +186,9 @@ impl<'a> Pipeline<'a> {
             by_clock: false,
             stops_told: 0,
             gates: Vec::new(),
+            standing: Standing::new(config),
+            out_of_patience: None,
+            patience_s: config.drive.patience_s,
             brakes: config.vehicle.safety.reverse_limit_mps > 0.0,
             batch_is_broken: false,
             seen: (0, 0),
@@ -210,6 +218,7 @@ impl<'a> Pipeline<'a> {
         self.stop_all();
         Ok(PipelineFacts {
             stopped_by: result?,
+            out_of_patience: self.out_of_patience,
             counts: self.sequencer.counts(),
             recovery: self.recoveries.sum_up(chaos::fired(&self.attachment.names.root)),
             processes: self.members.iter().map(Member::facts).collect(),
@@ -243,7 +252,8 @@ impl<'a> Pipeline<'a> {
             heard |= self.hear_trainer()?;
             heard |= self.hear_controller()?;
             heard |= self.hear_gate()?;
-            if self.is_over {
+            self.look_after_waiting();
+            if self.is_over || self.out_of_patience.is_some() {
                 return Ok(None);
             }
             self.drive()?;
@@ -369,6 +379,7 @@ impl<'a> Pipeline<'a> {
                     let what = describe_reasons(begins);
                     self.progress.notice(&format!("vehicle {slot}: {what}"));
                 }
+                self.standing.see(slot, now.state, now.reasons, now_ns());
                 if !gate.changes_to(now.state) {
                     continue;
                 }
@@ -392,7 +403,14 @@ impl<'a> Pipeline<'a> {
                         let how = Safety::words_of_action(Safety::action_name(now.reasons));
                         let gently = if self.brakes { "" } else { NO_BRAKE };
                         let on = self.realtime && !of_the_drive;
-                        let on = if on { "; `pathtune rearm` lets it drive again" } else { "" };
+                        let within = match self.patience_s {
+                            s if s.is_finite() => format!(" within {s} s (drive.patience_s)"),
+                            _ => String::new(),
+                        };
+                        let on = match on {
+                            true => format!("; `pathtune rearm` lets it drive again{within}"),
+                            false => String::new(),
+                        };
                         self.progress.notice(&format!(
                             "vehicle {slot} is being stopped: {why}; {how}{gently}{on}"
                         ));
@@ -422,6 +440,24 @@ impl<'a> Pipeline<'a> {
             }
         }
         Ok(heard)
+    }
+
+    /// A drive by the clock waits for people, but not for ever.
+    fn look_after_waiting(&mut self) {
+        if !self.realtime || !self.sequencer.is_driving() {
+            return;
+        }
+        let now_ns = now_ns();
+        let begins = self.seen.0 == self.sequencer.batch() && self.seen.1 > 0;
+        let due = match self.standing.due(now_ns, describe_reasons) {
+            None if !begins => self.standing.due_at_start(now_ns, self.issued_ns),
+            due => due,
+        };
+        match due {
+            Some(Due::Notice(text)) => self.progress.notice(&text),
+            Some(Due::End(reasons)) => self.out_of_patience = Some(reasons),
+            None => {}
+        }
     }
 
     fn tell_trainer(&self, outcomes: &[DriveOutcome]) -> Result<(), Failure> {

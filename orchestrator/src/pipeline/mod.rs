@@ -18,5 +18,6 @@ pub(crate) mod recovery;
 pub mod restart;
 pub mod sequencer;
 pub(crate) mod services;
+mod standing;
 pub(crate) mod strays;
 pub(crate) mod vitals;

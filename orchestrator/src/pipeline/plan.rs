@@ -37,6 +37,9 @@ pub(crate) struct Plan {
 pub(crate) struct PipelineFacts {
     /// The signal that has ended it before its time, if one has.
     pub(crate) stopped_by: Option<i32>,
+    /// The drive, by the clock, has waited for people in vain: bits of [`ipc_types::Safety::reasons`] for which its vehicle was
+    /// stopped, 0 if it has not begun.
+    pub(crate) out_of_patience: Option<u32>,
     pub(crate) counts: DriveCounts,
     /// In the order in which they started.
     pub(crate) processes: Vec<ProcessFacts>,

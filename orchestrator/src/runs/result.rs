@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use config::RunConfig;
+use ipc_types::Safety;
 use outcome::{
     Drives, OUTCOME_FILE, Outcome, RESULT_FILE, Run, RunDrives, RunResult, SingleDrive,
     read_decided, to_json,
 };
 
+use crate::pipeline::main_loop::describe_reasons;
 use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::runs::running::RunFacts;
 use crate::words::tables::{how_stopped, in_words};
@@ -31,12 +33,19 @@ pub struct EndedRun {
 
 /// Writes `result.json`, and prints it or its table. Of a run that was stopped, both hold what was driven by then.
 pub(crate) fn conclude(plan: &Plan, facts: &RunFacts, json: bool) -> Result<EndedRun, Failure> {
-    let stopped_by = facts.pipeline.stopped_by;
-    if let Some(signal) = stopped_by
-        && !plan.folder.join(OUTCOME_FILE).exists()
-    {
-        let left = "the processes were stopped before anything was driven".to_owned();
-        return Err(Failure::Interrupted(signal, left));
+    let PipelineFacts { stopped_by, out_of_patience, .. } = facts.pipeline;
+    if !plan.folder.join(OUTCOME_FILE).exists() {
+        if let Some(signal) = stopped_by {
+            let left = "the processes were stopped before anything was driven".to_owned();
+            return Err(Failure::Interrupted(signal, left));
+        }
+        if let Some(reasons) = out_of_patience {
+            let why = match reasons {
+                0 => "it has not begun".to_owned(),
+                _ => format!("the gate stopped the vehicle: {}", describe_reasons(reasons)),
+            };
+            return Err(Failure::NotArrived(why + &waited(reasons, &plan.config)));
+        }
     }
     let result = write_result(plan, facts)?;
     if json {
@@ -52,7 +61,19 @@ pub(crate) fn conclude(plan: &Plan, facts: &RunFacts, json: bool) -> Result<Ende
         Outcome::Drive(drive) => why_not_arrived(drive, &plan.config),
         _ => None,
     };
+    let waited = out_of_patience.map_or(String::new(), |reasons| waited(reasons, &plan.config));
+    let not_arrived = not_arrived.map(|why| why + &waited);
     Ok(EndedRun { folder: plan.folder.clone(), json, stopped, not_arrived })
+}
+
+/// For what a stopped vehicle has waited in vain.
+fn waited(reasons: u32, config: &RunConfig) -> String {
+    let what = match reasons {
+        0 => "the vehicle sent no odometry",
+        _ if reasons & Safety::OF_THE_DRIVE != 0 => return String::new(),
+        _ => "nobody rearmed it",
+    };
+    format!("; {what} within {} s (drive.patience_s)", config.drive.patience_s)
 }
 
 /// Why a drive did not arrive; `None` if it did, or if it was to end by its time and did.
@@ -92,7 +113,15 @@ fn tell_losses(result: &RunResult, is_recorded: bool) {
 /// half of it.
 pub(crate) fn write_result(plan: &Plan, facts: &RunFacts) -> Result<RunResult, Failure> {
     let Plan { folder, config, .. } = plan;
-    let decided = read_decided(folder).map_err(anyhow::Error::from)?;
+    let mut decided = read_decided(folder).map_err(anyhow::Error::from)?;
+    if let (Some(reasons @ 1..), Outcome::Drive(drive)) =
+        (facts.pipeline.out_of_patience, &mut decided.outcome)
+    {
+        // What recorded it knows no more than that it was interrupted.
+        drive.reason = "stopped".to_owned();
+        drive.stopped_for = Safety::reason_names(reasons).into_iter().map(str::to_owned).collect();
+        drive.stopped_how = Some(Safety::action_name(reasons).to_owned());
+    }
     let stopped_after = facts.pipeline.stopped_by.map(|_| driven_so_far(&decided.outcome, plan));
     let run = Run { stopped_after, ..of_run(config, facts) };
     let result = RunResult {
@@ -151,6 +180,7 @@ fn of_run(config: &RunConfig, facts: &RunFacts) -> Run {
         recording,
         waiting,
         stopped_by: _,
+        out_of_patience: _,
     } = pipeline;
     let vehicle_s = counts.ticks as f64 * config.drive.tick_s;
     let time = |at: &jiff::Timestamp| at.strftime("%Y-%m-%dT%H:%M:%S.%3fZ").to_string();

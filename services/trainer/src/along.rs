@@ -32,6 +32,10 @@ pub(crate) struct Sums {
 
 impl Sums {
     fn add(&mut self, row: &Row) {
+        // Nobody believes such odometry, and a single number of it would make all sums unreadable.
+        if !row.is_finite() {
+            return;
+        }
         if let Some(laps) = &mut self.laps {
             laps.add(row.tick, row.x_m, row.y_m, row.speed_mps);
         }

@@ -47,6 +47,24 @@ pub struct Row {
     pub zone: u32,
 }
 
+impl Row {
+    /// Whether all that the vehicle said of itself is finite.
+    pub(crate) fn is_finite(&self) -> bool {
+        [
+            self.x_m,
+            self.y_m,
+            self.yaw_rad,
+            self.measured_x_m,
+            self.measured_y_m,
+            self.measured_yaw_rad,
+            self.speed_mps,
+            self.yaw_rate_radps,
+        ]
+        .iter()
+        .all(|it| it.is_finite())
+    }
+}
+
 /// The largest number of messages of a topic that one look takes: the vehicle should not wait until all of them are
 /// taken.
 const AT_ONCE: usize = 64;
