@@ -1,5 +1,6 @@
 //! A car on the other side of DDS: CommonRoad's model behind Cyclone DDS or, as a ROS 2 node, behind Fast DDS.
 
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs;
 use std::os::linux::net::SocketAddrExt;
@@ -171,6 +172,11 @@ impl Peer {
         }
     }
 
+    /// Files in shared memory that its library, Fast DDS, has opened.
+    pub fn shared_files(&self) -> BTreeSet<PathBuf> {
+        shared_files(self.0.id())
+    }
+
     pub fn wait_until_it_lives(&self) {
         let until = Instant::now() + Duration::from_secs(20);
         while self.log().is_empty() {
@@ -190,9 +196,37 @@ impl Peer {
     }
 }
 
+/// Files in shared memory that Fast DDS has opened in a process.
+fn shared_files(pid: u32) -> BTreeSet<PathBuf> {
+    let maps = fs::read_to_string(format!("/proc/{pid}/maps")).unwrap_or_default();
+    let mapped = maps.lines().filter_map(|line| Some(PathBuf::from(line.split_once('/')?.1)));
+    let open = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
+    let open = open.filter_map(|it| fs::read_link(it.path()).ok());
+    mapped
+        .map(|path| Path::new("/").join(path))
+        .chain(open)
+        .filter(|path| path.parent() == Some(Path::new("/dev/shm")))
+        .filter(|path| path.to_string_lossy().contains("fastdds"))
+        .collect()
+}
+
+/// Removes what a peer that has ended left of them, unless somebody else has it open.
+fn sweep(mut left: BTreeSet<PathBuf>) {
+    left.retain(|path| path.exists());
+    if !left.is_empty() {
+        for pid in super::pids() {
+            shared_files(pid as u32).iter().for_each(|path| drop(left.remove(path)));
+        }
+    }
+    for path in left {
+        let _ = fs::remove_file(path);
+    }
+}
+
 impl Drop for Peer {
     fn drop(&mut self) {
-        // Fast DDS has files in shared memory that it removes at its end.
+        // Fast DDS has files in shared memory that it removes at its end, if it comes to that.
+        let shared = shared_files(self.0.id());
         signal(self.0.id() as i32, rustix::process::Signal::INT);
         let until = Instant::now() + Duration::from_secs(2);
         while matches!(self.0.try_wait(), Ok(None)) && Instant::now() < until {
@@ -200,5 +234,6 @@ impl Drop for Peer {
         }
         let _ = self.0.kill();
         let _ = self.0.wait();
+        sweep(shared);
     }
 }
