@@ -318,6 +318,9 @@ constants!(
     /// fault of the steering would not be seen. It is only told: `state` stays as it is.
     pub const STEERING_UNSEEN: u32 = 1 << 25;
 
+    /// Bit of `reasons`: the measured pose stands, or falls behind, although the vehicle drives by its own speed.
+    pub const POSE_STANDS: u32 = 1 << 26;
+
     /// Bit of `reasons`: the vehicle was not rearmed, because no leg of the path within its reach fits its heading.
     pub const NO_LEG: u32 = 1 << 16;
 
@@ -347,7 +350,8 @@ constants!(
         | Self::ODOMETRY_STALE
         | Self::ODOMETRY_INVALID
         | Self::ODOMETRY_JUMP
-        | Self::TIME_BACK;
+        | Self::TIME_BACK
+        | Self::POSE_STANDS;
     /// A stop for one of these bits of `reasons` is a full brake with the wheels straight.
     pub const STRAIGHTENS: u32 = Self::BLIND | Self::STEERING_REVERSED;
     /// A stop for one of these bits of `reasons`, and none of those, is a full brake that the law goes on steering.

@@ -112,6 +112,11 @@ impl Safety {
             "steering_unseen",
             "its yaw rate is computed from the commanded steering angle: a fault of the steering would not be seen",
         ),
+        (
+            Self::POSE_STANDS,
+            "pose_stands",
+            "its measured pose stands, or falls behind, although it drives by its own speed",
+        ),
         (Self::NO_LEG, "no_leg", "no leg of the path within its reach fits its heading"),
     ];
 

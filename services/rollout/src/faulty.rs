@@ -34,6 +34,8 @@ pub enum Fault {
         /// How much.
         by_m: f64,
     },
+    /// Its localisation hangs: odometry repeats the last pose, while it drives on.
+    PoseStands,
     /// Something holds it: it does not drive until the fault ends.
     Held,
 }
@@ -51,6 +53,7 @@ impl Fault {
             "no_steering" => Self::NoSteering,
             "bent_linkage" => Self::BentLinkage { gain: number(1)?, offset_rad: number(2)? },
             "point_ahead" => Self::PointAhead { by_m: number(1)? },
+            "pose_stands" => Self::PoseStands,
             "held" => Self::Held,
             _ => return None,
         })
@@ -70,13 +73,24 @@ pub struct FaultyCar {
     tick: u64,
     /// The last command that it obeyed.
     had: (f64, f64),
+    /// Where it was measured last.
+    was: Pose,
 }
 
 impl FaultyCar {
     /// The configured vehicle, with a fault from one tick to before another.
     pub fn new(config: &RunConfig, fault: Fault, from_tick: u64, to_tick: u64) -> Self {
         let car = SimulatedVehicle::new(config);
-        Self { car, fault, from_tick, to_tick, in_turn: 0, tick: 0, had: (0.0, 0.0) }
+        Self {
+            car,
+            fault,
+            from_tick,
+            to_tick,
+            in_turn: 0,
+            tick: 0,
+            had: (0.0, 0.0),
+            was: Pose::default(),
+        }
     }
 
     /// As [`FaultyCar::new`], but the fault comes and goes: it is there for so many ticks, and away for as many.
@@ -104,6 +118,10 @@ impl Plant for FaultyCar {
             let at = seen.measured.ahead(by_m);
             (seen.measured.x_m, seen.measured.y_m) = (at.x, at.y);
         }
+        if self.fault == Fault::PoseStands && self.has_fault() {
+            seen.measured = self.was;
+        }
+        self.was = seen.measured;
         seen
     }
 
@@ -111,7 +129,7 @@ impl Plant for FaultyCar {
         let mut does = (speed_mps, steering_rad);
         if self.has_fault() {
             match self.fault {
-                Fault::None | Fault::PointAhead { .. } => {}
+                Fault::None | Fault::PointAhead { .. } | Fault::PoseStands => {}
                 Fault::WrongSign => does.1 = -steering_rad,
                 Fault::StuckThrottle { speed_mps } => does.0 = speed_mps,
                 Fault::IgnoresCommands => does = self.had,

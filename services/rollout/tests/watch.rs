@@ -185,6 +185,7 @@ fn faulty_vehicles_are_stopped_in_time() {
                 true,
             ),
             ("point off", Fault::PointAhead { by_m }, 0, true),
+            ("pose stands", Fault::PoseStands, Safety::POSE_STANDS, true),
         ] {
             for from in ["start", "way"] {
                 let stories: Vec<Story> = (0..drives(2))

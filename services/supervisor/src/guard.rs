@@ -5,7 +5,8 @@ use ipc_types::Safety;
 
 /// Faults that stop the vehicle at once: nobody can drive it, and whatever is told makes it worse; or they rest on
 /// seconds of evidence already; or there is just the room for a stop.
-const AT_ONCE: u32 = Safety::STEERING_REVERSED | Safety::OUT_OF_ENVELOPE | Safety::AREA;
+const AT_ONCE: u32 =
+    Safety::STEERING_REVERSED | Safety::OUT_OF_ENVELOPE | Safety::AREA | Safety::POSE_STANDS;
 
 /// What comes late, as on a machine that is busy for a moment.
 const LATE: u32 = Safety::COMMAND_STALE | Safety::ODOMETRY_STALE;

@@ -1,5 +1,6 @@
 //! Whether the vehicle does what it is told: it steers as its steering angle says and the right way round, drives no
-//! faster than it is told to, and drives at all.
+//! faster than it is told to, and drives at all. And whether its measured pose goes along with it: a localisation that
+//! hangs repeats the last pose, while the vehicle drives on.
 //!
 //! Commands go through a model of the vehicle before they are compared with its odometry: the steering angle through the
 //! [`SteeringChain`] of the vehicle's file, the speed through how slowly a car may follow. What the odometry shows of the
@@ -8,7 +9,7 @@
 
 use config::{FULL_SIZE_WHEELBASE_M, RunConfig};
 use ipc_types::Safety;
-use tracking::SteeringChain;
+use tracking::{Pose, SteeringChain};
 
 use crate::Movement;
 use crate::mean::Means;
@@ -47,6 +48,11 @@ const SLOWING_SHARE: f64 = 0.5;
 /// For how long a vehicle that is told to drive at this speed or faster may stand, once its gear is engaged.
 const STANDS_S: f64 = 2.0;
 const DRIVES_MPS: f64 = 0.2;
+/// How much of the way that its speed accounts for the measured pose has to come, and how far it may fall behind that: by so
+/// many wheelbases, and by what is driven in this time, as a localisation may be slow.
+const COMES_SHARE: f64 = 0.7;
+const BEHIND_WHEELBASES: f64 = 0.5;
+const BEHIND_S: f64 = 0.3;
 /// Ticks that may be missing before the model of the vehicle starts afresh.
 const LONGEST_GAP: u64 = 100;
 
@@ -78,6 +84,9 @@ pub struct Response {
     astray_rad_s: f64,
     run_m: f64,
     stands_s: f64,
+    /// The measured pose at the end of the last mean, and how far it has fallen behind.
+    pose: Option<Pose>,
+    behind_m: f64,
     faults: u32,
 
     speed_kp: f64,
@@ -122,6 +131,8 @@ impl Response {
             astray_rad_s: 0.0,
             run_m: 0.0,
             stands_s: 0.0,
+            pose: None,
+            behind_m: 0.0,
             faults: 0,
             speed_kp: vehicle.speed_kp,
             speed_ki: vehicle.speed_ki,
@@ -158,6 +169,7 @@ impl Response {
         (self.straight, self.ticks) = (None, 0);
         (self.reversed_rad_s, self.contrary_rad_s, self.astray_rad_s) = (0.0, 0.0, 0.0);
         (self.run_m, self.stands_s) = (0.0, 0.0);
+        (self.pose, self.behind_m) = (None, 0.0);
         self.faults = 0;
     }
 
@@ -176,13 +188,14 @@ impl Response {
         if ticks > LONGEST_GAP {
             self.settle();
             self.means.restart();
+            self.pose = None;
         } else {
             for _ in 0..ticks {
                 self.steering.step(steering_rad);
             }
         }
         self.ticks += ticks;
-        let Movement { speed_mps, yaw_rate_radps, .. } = movement;
+        let Movement { pose, speed_mps, yaw_rate_radps } = movement;
         if let Some(unseen) = &mut self.unseen
             && speed_mps > self.crawls_mps
         {
@@ -192,7 +205,7 @@ impl Response {
         self.raise_ceiling(speed_mps, told_mps, self.tick_s * ticks as f64);
         let numbers = [speed_mps, yaw_rate_radps, self.steering.angle_rad(), told_mps];
         if let Some(means) = self.means.add(numbers) {
-            self.judge(means);
+            self.judge(means, pose);
         }
     }
 
@@ -216,8 +229,9 @@ impl Response {
         }
     }
 
-    fn judge(&mut self, [speed_mps, yaw_rate_radps, angle_rad, told_mps]: [f64; 4]) {
+    fn judge(&mut self, [speed_mps, yaw_rate_radps, angle_rad, told_mps]: [f64; 4], pose: Pose) {
         let lasted_s = std::mem::take(&mut self.ticks) as f64 * self.tick_s;
+        self.judge_pose(pose, speed_mps.max(0.0), lasted_s);
         if speed_mps < self.crawls_mps {
             self.straight = None;
         } else {
@@ -241,8 +255,19 @@ impl Response {
         ) | flag(
             self.run_m > RUN_WHEELBASES * self.wheelbase_m,
             Safety::SPEED_IGNORED,
+        ) | flag(
+            self.behind_m > BEHIND_WHEELBASES * self.wheelbase_m + BEHIND_S * speed_mps.max(0.0),
+            Safety::POSE_STANDS,
         ) | flag(self.stands_s > self.may_stand_s, Safety::STANDS)
             | flag(self.unseen.as_ref().is_some_and(Unseen::is_computed), Safety::STEERING_UNSEEN);
+    }
+
+    /// Whether the measured pose comes forward as the speed says.
+    fn judge_pose(&mut self, pose: Pose, speed_mps: f64, lasted_s: f64) {
+        let Some(last) = self.pose.replace(pose) else { return };
+        let (sin, cos) = (libm::sin(pose.yaw_rad), libm::cos(pose.yaw_rad));
+        let came_m = (pose.x_m - last.x_m) * cos + (pose.y_m - last.y_m) * sin;
+        self.behind_m = (self.behind_m + COMES_SHARE * speed_mps * lasted_s - came_m).max(0.0);
     }
 
     fn judge_steering(&mut self, told: f64, shown: f64, lasted_s: f64, weight: f64) {
@@ -298,7 +323,6 @@ impl Response {
 mod tests {
     use super::*;
     use config::Layers;
-    use tracking::Pose;
 
     /// What speaks against a car of 2.58 m that is let go at 3 m/s², told to go straight on, and turns like this, in
     /// rad/s after so many seconds.

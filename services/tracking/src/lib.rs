@@ -103,6 +103,10 @@ pub fn tracking_error(reference: Pose, pose: Pose) -> TrackingError {
 /// The same angle within [-π, π].
 pub fn wrap_angle(angle_rad: f64) -> f64 {
     use std::f64::consts::TAU;
+    // Most angles need no division; the sum makes the same 0.0 of -0.0.
+    if angle_rad.abs() < 3.0 {
+        return angle_rad + 0.0;
+    }
     angle_rad - TAU * (angle_rad / TAU).round()
 }
 
