@@ -260,6 +260,8 @@ fn limits_that_are_too_low_are_told_in_a_line() {
         ("ulimit -n 20", "conformance -- pathtune service simulator", "ulimit -n 4096"),
         ("ulimit -s 128", train, "ulimit -s 8192"),
         ("ulimit -s 128", "config list", "ulimit -s 8192"),
+        ("ulimit -f 100", train, "ulimit -f unlimited"),
+        ("ulimit -f 100", "grid lane_change --out out", "ulimit -f unlimited"),
         ("export PATHTUNE_LOG_MIB=none", train, "PATHTUNE_LOG_MIB"),
     ] {
         let (said, code) = under(&sandbox, limit, args);
@@ -267,6 +269,9 @@ fn limits_that_are_too_low_are_told_in_a_line() {
         assert!(said.contains(part) && said.lines().count() == 1, "{limit}: {args}: {said}");
         assert!(!sandbox.path("out").exists());
     }
+    // Where no run is checked for it, a file that becomes too long is an error, too.
+    let (said, code) = under(&sandbox, "ulimit -f 1; exec >long", "schema --python");
+    assert!(code == Some(1) && said.contains("File too large"), "{code:?}: {said}");
     // What may be raised is raised.
     let (said, code) = under(&sandbox, "ulimit -S -n 20; ulimit -S -s 512", train);
     assert_eq!(code, Some(0), "{said}");

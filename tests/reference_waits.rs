@@ -344,6 +344,7 @@ fn a_stopped_car_that_nobody_rearms_ends_its_drive_with_the_cause() {
         assert!(end.contains("the gate stopped the vehicle at ") && end.contains(cause), "{told}");
         let waited = "; nobody rearmed it within 1.5 s (drive.patience_s)";
         assert!(end.ends_with(waited), "{told}");
+        assert!(sandbox.path("out/report/index.html").exists(), "{told}");
         let result = sandbox.result("out");
         assert_eq!(result["reason"], "stopped", "{told}");
         let stopped_for = result["stopped_for"].as_array().unwrap();

@@ -511,7 +511,11 @@ fn errors_are_one_line_and_name_the_place() -> Result<()> {
     check_error(file, Some("tick,time_s\n0,0\n"), &["a.csv:2", "x_m"])?;
     check_error(file, Some(&drive("0,0,0,0,0,0,0,0,0,0,0,0\n0,1\n")), &["a.csv:3", "2 values"])?;
     check_error(file, Some(&drive("0,0,0,x,0,0,0,0,0,0,0,0\n")), &["a.csv:2", "speed_mps"])?;
-    check_error(file, Some(&drive("0,0,0,NaN,0,0,0,0,0,0,0,0\n")), &["a.csv:2", "speed_mps: NaN"])?;
+    check_error(
+        file,
+        Some(&drive("0,0,0,0,0,0,NaN,0,0,0,0,0\n")),
+        &["a.csv:2", "along_track_m: NaN"],
+    )?;
     check_error(file, Some(&drive("0,0,inf,0,0,0,0,0,0,0,0,0\n")), &["a.csv:2", "y_m: inf"])?;
     check_error(file, Some(&drive("0,0,0,0,0,0,0,0,0,0,0,-1\n")), &["a.csv:2", "zone"])?;
     Ok(())

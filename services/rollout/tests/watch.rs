@@ -229,7 +229,8 @@ fn faulty_vehicles_are_stopped_in_time() {
                     } else if reasons != 0 {
                         assert_eq!(record.reason, EndReason::Stopped, "{what}");
                         // What a fault in the middle of a bend looks like at first, depends on the bend.
-                        let reasons = if from == "start" { reasons } else { Safety::OF_THE_DRIVE };
+                        let is_known = from == "start" || fault == Fault::PoseStands;
+                        let reasons = if is_known { reasons } else { Safety::OF_THE_DRIVE };
                         assert!(record.stopped_for & reasons != 0, "{what}");
                     }
                 }

@@ -1,5 +1,7 @@
 //! Limits of the system for a process, raised as far as they may be, and checked where too little would end in a crash.
 
+use std::sync::Arc;
+
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 /// The stack that a process needs; less overflows it. Twice what was found to suffice.
@@ -11,8 +13,13 @@ const FILES: u64 = 320;
 /// What is asked for where less is set.
 const USUAL_FILES: u64 = 4096;
 
-/// Raises the limits that are lower than usual, as far as this user may, for this process and its children.
+/// How long a file of a run may become: the largest segment in shared memory, and most journals.
+const FILE_BYTES: u64 = 64 << 20;
+
+/// Raises the limits that are lower than usual, as far as this user may, for this process and its children. And a file that
+/// becomes too long is an error, which can be told, in place of the end of the process.
 pub fn raise() {
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default());
     for (resource, usual) in [(Resource::Stack, USUAL_STACK_BYTES), (Resource::Nofile, USUAL_FILES)]
     {
         let limits = getrlimit(resource);
@@ -40,7 +47,7 @@ pub fn check_stack() -> Result<(), String> {
     }
 }
 
-/// Checks whether a process may open the files of a run.
+/// Checks whether a process may open and write the files of a run.
 ///
 /// # Errors
 /// If it may not; the error says what to do.
@@ -48,6 +55,17 @@ pub fn check_files() -> Result<(), String> {
     match getrlimit(Resource::Nofile).current {
         Some(files) if files < FILES => Err(format!(
             "the limit of open files is {files}, and a run needs {FILES}: ulimit -n {USUAL_FILES}"
+        )),
+        _ => check_file_size(),
+    }
+}
+
+fn check_file_size() -> Result<(), String> {
+    match getrlimit(Resource::Fsize).current {
+        Some(bytes) if bytes < FILE_BYTES => Err(format!(
+            "the limit of a file's size is {} KiB, and {} KiB are needed: ulimit -f unlimited",
+            bytes >> 10,
+            FILE_BYTES >> 10
         )),
         _ => Ok(()),
     }

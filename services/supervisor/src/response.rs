@@ -205,7 +205,7 @@ impl Response {
         self.raise_ceiling(speed_mps, told_mps, self.tick_s * ticks as f64);
         let numbers = [speed_mps, yaw_rate_radps, self.steering.angle_rad(), told_mps];
         if let Some(means) = self.means.add(numbers) {
-            self.judge(means, pose);
+            self.judge(means, pose, obeys);
         }
     }
 
