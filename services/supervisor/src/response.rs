@@ -229,7 +229,12 @@ impl Response {
         }
     }
 
-    fn judge(&mut self, [speed_mps, yaw_rate_radps, angle_rad, told_mps]: [f64; 4], pose: Pose) {
+    fn judge(
+        &mut self,
+        [speed_mps, yaw_rate_radps, angle_rad, told_mps]: [f64; 4],
+        pose: Pose,
+        obeys: bool,
+    ) {
         let lasted_s = std::mem::take(&mut self.ticks) as f64 * self.tick_s;
         self.judge_pose(pose, speed_mps.max(0.0), lasted_s);
         if speed_mps < self.crawls_mps {
@@ -242,6 +247,8 @@ impl Response {
         }
         let most_mps = (1.0 + SPEED_SHARE) * self.ceiling_mps + SPEED_MPS;
         self.run_m = (self.run_m + (speed_mps - most_mps) * lasted_s).max(0.0);
+        // One that stops on its own does not hear its commands, or not in time.
+        let told_mps = if obeys { told_mps } else { self.speed_mps };
         let is_told_in_vain = told_mps >= DRIVES_MPS && speed_mps < self.standstill_mps;
         self.stands_s = if is_told_in_vain { self.stands_s + lasted_s } else { 0.0 };
 
