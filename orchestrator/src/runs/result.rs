@@ -14,7 +14,7 @@ use outcome::{
 use crate::pipeline::main_loop::describe_reasons;
 use crate::pipeline::plan::{PipelineFacts, Plan};
 use crate::runs::running::RunFacts;
-use crate::words::tables::{how_stopped, in_words};
+use crate::words::tables::{how_stopped, in_words, trim};
 use crate::words::terminal::{say, tell};
 use crate::words::{Failure, tables};
 
@@ -82,6 +82,11 @@ fn why_not_arrived(drive: &SingleDrive, config: &RunConfig) -> Option<String> {
     match &*drive.reason {
         "goal" => None,
         "time" if !config.is_to_arrive() => None,
+        // It has passed the end, and was not near enough.
+        "time" if drive.progress >= 1.0 => Some(format!(
+            "it passed the end of the path more than {} m beside it (drive.goal_radius_m)",
+            trim(config.drive.goal_radius_m)
+        )),
         "time" => Some(format!("its time was over {place} (drive.loop_time_s)")),
         "collision" => Some(format!("a collision {place}")),
         "held" => Some(format!("the vehicle did not follow, {place} (reference.wait_limit_s)")),
