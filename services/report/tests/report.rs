@@ -516,7 +516,11 @@ fn errors_are_one_line_and_name_the_place() -> Result<()> {
         Some(&drive("0,0,0,0,0,0,NaN,0,0,0,0,0\n")),
         &["a.csv:2", "along_track_m: NaN"],
     )?;
-    check_error(file, Some(&drive("0,0,inf,0,0,0,0,0,0,0,0,0\n")), &["a.csv:2", "y_m: inf"])?;
+    check_error(
+        file,
+        Some(&drive("0,0,0,0,0,inf,0,0,0,0,0,0,0\n")),
+        &["a.csv:2", "reference_y_m: inf"],
+    )?;
     check_error(file, Some(&drive("0,0,0,0,0,0,0,0,0,0,0,-1\n")), &["a.csv:2", "zone"])?;
     Ok(())
 }

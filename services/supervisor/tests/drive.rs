@@ -194,7 +194,8 @@ fn respond(
     for tick in first..first + (seconds / TICK_S) as u64 {
         response.tell(told_mps, told_rad);
         let yaw_rate_radps = speed_mps * shown / 2.875;
-        response.see(tick, Movement { speed_mps, yaw_rate_radps, ..Movement::default() }, true);
+        let pose = pose(speed_mps * TICK_S * tick as f64, 0.0, 0.0);
+        response.see(tick, Movement { pose, speed_mps, yaw_rate_radps }, true);
     }
     response.faults()
 }
@@ -236,14 +237,54 @@ fn a_gear_that_is_not_engaged_yet_is_waited_for() {
 }
 
 #[test]
-fn a_vehicle_that_stops_on_its_own_steers_straight_and_may_stand() {
+fn a_vehicle_that_stops_on_its_own_steers_straight_and_is_told_once_it_stands() {
     let mut response = Response::new(&config(&[])).unwrap();
     response.resume(1.5, 0.0);
+    let mut x_m = 0.0;
     for tick in 0..1000 {
         response.tell(1.5, 0.3);
         let speed_mps = (1.5 - 2.0 * TICK_S * tick as f64).max(0.0);
-        response.see(tick, Movement { speed_mps, ..Movement::default() }, false);
-        assert_eq!(response.faults(), 0, "tick {tick}");
+        x_m += speed_mps * TICK_S;
+        response.see(
+            tick,
+            Movement { pose: pose(x_m, 0.0, 0.0), speed_mps, yaw_rate_radps: 0.0 },
+            false,
+        );
+        // It stands after 0.75 s, and may for 2 s.
+        if !(270..300).contains(&tick) {
+            assert_eq!(
+                response.faults(),
+                if tick < 270 { 0 } else { Safety::STANDS },
+                "tick {tick}"
+            );
+        }
+    }
+}
+
+/// A localisation that hangs repeats the last pose; one that is slow, or a speed that is a fifth too high, is no fault.
+#[test]
+fn a_pose_that_does_not_come_along_is_told() {
+    let told_after_m = |speed_mps: f64, seen: fn(f64) -> f64| {
+        let mut response = Response::new(&config(&[])).unwrap();
+        response.resume(speed_mps, 0.0);
+        let told = (0..2000).find(|tick| {
+            response.tell(speed_mps, 0.0);
+            let at = pose(seen(speed_mps * TICK_S * *tick as f64), 0.0, 0.0);
+            response.see(*tick, Movement { pose: at, speed_mps, yaw_rate_radps: 0.0 }, true);
+            assert_eq!(response.faults() & !Safety::POSE_STANDS, 0);
+            response.faults() != 0
+        });
+        told.map(|tick| speed_mps * TICK_S * tick as f64)
+    };
+    for speed_mps in [1.5, 4.0] {
+        // Half a wheelbase and 0.3 s, of seven tenths of the way.
+        let due_m = (0.5 * 2.875 + 0.3 * speed_mps) / 0.7;
+        let told_m = told_after_m(speed_mps, |_| 0.0).unwrap();
+        assert!((due_m..due_m + 0.3 * speed_mps).contains(&told_m), "{told_m} m at {speed_mps}");
+        assert_eq!(told_after_m(speed_mps, |x_m| x_m), None);
+        assert_eq!(told_after_m(speed_mps, |x_m| 0.8 * x_m), None);
+        // At 5 Hz, at 4 m/s.
+        assert_eq!(told_after_m(speed_mps, |x_m| (x_m / 0.8).floor() * 0.8), None);
     }
 }
 
@@ -255,8 +296,8 @@ fn what_is_only_told_changes_no_state_and_a_wrong_sign_stops_at_once() {
         let (mut states, mut reasons) = (Vec::new(), 0);
         for tick in 0..300 {
             let yaw_rate_radps = speed_mps * shown / 2.875;
-            let movement = Movement { speed_mps, yaw_rate_radps, ..Movement::default() };
-            watch.see(tick, movement, true);
+            let pose = pose(speed_mps * TICK_S * tick as f64, 0.0, 0.0);
+            watch.see(tick, Movement { pose, speed_mps, yaw_rate_radps }, true);
             watch.command(TICK_S, 0, Some(wanted));
             states.push(watch.state());
             reasons |= watch.reasons();
