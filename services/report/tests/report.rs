@@ -518,8 +518,8 @@ fn errors_are_one_line_and_name_the_place() -> Result<()> {
     )?;
     check_error(
         file,
-        Some(&drive("0,0,0,0,0,inf,0,0,0,0,0,0,0\n")),
-        &["a.csv:2", "reference_y_m: inf"],
+        Some(&drive("0,0,0,0,inf,0,0,0,0,0,0,0\n")),
+        &["a.csv:2", "reference_x_m: inf"],
     )?;
     check_error(file, Some(&drive("0,0,0,0,0,0,0,0,0,0,0,-1\n")), &["a.csv:2", "zone"])?;
     Ok(())

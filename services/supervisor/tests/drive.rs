@@ -251,10 +251,10 @@ fn a_vehicle_that_stops_on_its_own_steers_straight_and_is_told_once_it_stands() 
             false,
         );
         // It stands after 0.75 s, and may for 2 s.
-        if !(270..300).contains(&tick) {
+        if !(250..300).contains(&tick) {
             assert_eq!(
                 response.faults(),
-                if tick < 270 { 0 } else { Safety::STANDS },
+                if tick < 250 { 0 } else { Safety::STANDS },
                 "tick {tick}"
             );
         }
