@@ -220,9 +220,12 @@ fn faulty_vehicles_are_stopped_in_time() {
                     all(|it| it.slowed_for),
                 );
                 let stands = fault == Fault::IgnoresCommands && from == "start";
-                for Story { record, path_max_m, .. } in &stories {
+                for Story { record, path_max_m, told_m, .. } in &stories {
                     let what = format!("{vehicle}, {name} from the {from}: {record:?}");
                     assert!(!can_be_stopped || *path_max_m < bound_m, "{what}: {path_max_m} m");
+                    if fault == Fault::WrongSign {
+                        assert!(*told_m < 0.5, "{what}: told at {told_m} m");
+                    }
                     if stands {
                         assert_eq!(record.reason, EndReason::Held, "{what}");
                         assert_eq!(record.slowed_for, Safety::STANDS, "{what}");

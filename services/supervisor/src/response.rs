@@ -33,7 +33,15 @@ const ASTRAY_RAD_S: f64 = 0.05;
 /// So much steering to the other side than it was told is too much, on means that are not smoothed: wheels on their way over
 /// count as well, before they have come as far as they were told. It does not scale with the car: what it must allow for is
 /// a lag that no file states.
-const CONTRARY_RAD_S: f64 = 0.015;
+const CONTRARY_RAD_S: f64 = 0.02;
+/// And so much is where no lag accounts for it: it has turned by this angle farther to that side than it was told to turn at
+/// any time of the last 0.8 s, and steering that follows late lies between what it was told.
+const UNEXPLAINED_RAD_S: f64 = 0.006;
+const BEYOND_RAD: f64 = 0.03;
+const LATE_MEANS: usize = 8;
+/// What it shows when it is told to go straight on is a mean with this time constant: one that steers the wrong way round
+/// slowly from there would take its own steering for straight.
+const STRAIGHT_OVER_S: f64 = 1.0;
 /// Of a vehicle that is being stopped because it does not drive as it should, a fifth of that is enough, and the wheels need
 /// not have come as far as they were told: that something is wrong is known by then, and the question is only whether
 /// steering helps.
@@ -81,6 +89,9 @@ pub struct Response {
     reversed_rad_s: f64,
     /// How much it has been turned to the side that it was not told to turn to.
     contrary_rad_s: f64,
+    /// The same, as far as no lag accounts for it, and tangents of the angles that it was told lately.
+    unexplained_rad_s: f64,
+    told_lately: [f64; LATE_MEANS],
     astray_rad_s: f64,
     run_m: f64,
     stands_s: f64,
@@ -128,6 +139,8 @@ impl Response {
             straight: None,
             reversed_rad_s: 0.0,
             contrary_rad_s: 0.0,
+            unexplained_rad_s: 0.0,
+            told_lately: [0.0; LATE_MEANS],
             astray_rad_s: 0.0,
             run_m: 0.0,
             stands_s: 0.0,
@@ -168,6 +181,7 @@ impl Response {
         self.means.restart();
         (self.straight, self.ticks) = (None, 0);
         (self.reversed_rad_s, self.contrary_rad_s, self.astray_rad_s) = (0.0, 0.0, 0.0);
+        self.unexplained_rad_s = 0.0;
         (self.run_m, self.stands_s) = (0.0, 0.0);
         (self.pose, self.behind_m) = (None, 0.0);
         self.faults = 0;
@@ -254,7 +268,9 @@ impl Response {
 
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
         self.faults = flag(
-            self.reversed_rad_s > self.reversed_limit_rad_s || self.contrary_rad_s > CONTRARY_RAD_S,
+            self.reversed_rad_s > self.reversed_limit_rad_s
+                || self.contrary_rad_s > CONTRARY_RAD_S
+                || self.unexplained_rad_s > UNEXPLAINED_RAD_S,
             Safety::STEERING_REVERSED,
         ) | flag(
             self.astray_rad_s > self.astray_limit_rad_s,
@@ -282,13 +298,16 @@ impl Response {
             Some(_) => lasted_s / (SMOOTHED_OVER_S + lasted_s),
             None => 1.0,
         };
-        self.judge_side(told, shown - self.straight.unwrap_or(0.0), lasted_s);
+        self.judge_side(told, shown - self.straight.unwrap_or(0.0), lasted_s, weight);
         self.told += share * (told - self.told);
         self.shown += share * (shown - self.shown);
         let (told, shown, size) = (self.told, self.shown, self.told.abs());
         let straight = match self.straight {
             Some(straight) if size > CLEAR_RAD => straight,
-            Some(_) => *self.straight.insert(shown),
+            Some(was) => {
+                let share = lasted_s / (STRAIGHT_OVER_S + lasted_s);
+                *self.straight.insert(was + share * (shown - was))
+            }
             None => *self.straight.insert(if size > CLEAR_RAD { 0.0 } else { shown }),
         };
         // Turned as far as it should be, but to the other side, within the tolerance.
@@ -303,7 +322,7 @@ impl Response {
     }
 
     /// Whether it is turned to the side that it was told to turn to, now: nothing is smoothed, as time is short.
-    fn judge_side(&mut self, told: f64, turned: f64, lasted_s: f64) {
+    fn judge_side(&mut self, told: f64, turned: f64, lasted_s: f64, weight: f64) {
         let clear = told.abs().min(turned.abs()) > CLEAR_RAD;
         let by = match told * turned < 0.0 {
             true if clear => told.abs().min(turned.abs()),
@@ -311,6 +330,18 @@ impl Response {
             false => -told.abs(),
         };
         self.contrary_rad_s = (self.contrary_rad_s + by * lasted_s).max(0.0);
+        self.told_lately.rotate_right(1);
+        self.told_lately[0] = told;
+        // Numbers of the side to which it is told to turn are positive from here on.
+        let side = 1.0f64.copysign(told);
+        let least = self.told_lately.iter().fold(0.0f64, |least, it| least.min(side * it));
+        let beyond = least - side * turned;
+        let by = match beyond > BEYOND_RAD && told.abs() > CLEAR_RAD {
+            true => weight * beyond.min(told.abs()),
+            false if side * turned < 0.0 => 0.0,
+            false => -told.abs(),
+        };
+        self.unexplained_rad_s = (self.unexplained_rad_s + by * lasted_s).max(0.0);
     }
 
     /// Bits of [`Safety::reasons`]: what the vehicle does not do as it is told.

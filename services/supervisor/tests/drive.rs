@@ -211,7 +211,8 @@ fn each_way_of_not_doing_as_told_has_its_reason() {
     check(10.0, (1.5, 0.2), (1.5, tan(0.2)), 0);
     check(1.0, (1.5, 0.2), (1.5, -tan(0.2)), Safety::STEERING_REVERSED | Safety::STEERING_IGNORED);
     check(0.8, (1.5, 0.05), (1.5, -tan(0.05)), Safety::STEERING_REVERSED);
-    check(0.2, (1.5, 0.05), (1.5, -tan(0.05)), 0);
+    check(0.1, (1.5, 0.05), (1.5, -tan(0.05)), 0);
+    check(0.2, (1.5, 0.05), (1.5, -tan(0.05)), Safety::STEERING_REVERSED);
     // It creeps: the yaw rate says nothing.
     check(5.0, (0.5, 0.2), (0.5, -tan(0.2)), 0);
     check(1.5, (1.5, 0.3), (1.5, 0.0), Safety::STEERING_IGNORED);
