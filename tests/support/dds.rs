@@ -215,7 +215,9 @@ fn sweep(mut left: BTreeSet<PathBuf>) {
     left.retain(|path| path.exists());
     if !left.is_empty() {
         for pid in super::pids() {
-            shared_files(pid as u32).iter().for_each(|path| drop(left.remove(path)));
+            for path in shared_files(pid as u32) {
+                left.remove(&path);
+            }
         }
     }
     for path in left {
