@@ -60,7 +60,7 @@ const DRIVES_MPS: f64 = 0.2;
 /// many wheelbases, and by what is driven in this time, as a localisation may be slow.
 const COMES_SHARE: f64 = 0.7;
 const BEHIND_WHEELBASES: f64 = 0.5;
-const BEHIND_S: f64 = 0.3;
+const BEHIND_S: f64 = 0.2;
 /// Ticks that may be missing before the model of the vehicle starts afresh.
 const LONGEST_GAP: u64 = 100;
 

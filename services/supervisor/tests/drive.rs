@@ -278,8 +278,8 @@ fn a_pose_that_does_not_come_along_is_told() {
         told.map(|tick| speed_mps * TICK_S * tick as f64)
     };
     for speed_mps in [1.5, 4.0] {
-        // Half a wheelbase and 0.3 s, of seven tenths of the way.
-        let due_m = (0.5 * 2.875 + 0.3 * speed_mps) / 0.7;
+        // Half a wheelbase and 0.2 s, of seven tenths of the way.
+        let due_m = (0.5 * 2.875 + 0.2 * speed_mps) / 0.7;
         let told_m = told_after_m(speed_mps, |_| 0.0).unwrap();
         assert!((due_m..due_m + 0.3 * speed_mps).contains(&told_m), "{told_m} m at {speed_mps}");
         assert_eq!(told_after_m(speed_mps, |x_m| x_m), None);
