@@ -109,8 +109,9 @@ fn order(name: &str) -> u8 {
 fn read_drive(path: &Path) -> Result<Vec<Row>, ReportError> {
     let mut rows = Vec::new();
     read_table(path, |row: Row| {
-        // What a vehicle said that did not know it itself.
-        if ![row.x_m, row.y_m, row.speed_mps].iter().all(|it| it.is_finite()) {
+        // What a vehicle said that did not know it itself; without its heading there is no place of the reference either.
+        let is_known = [row.x_m, row.y_m, row.speed_mps].iter().all(|it| it.is_finite());
+        if !is_known || row.reference_x_m.is_nan() || row.reference_y_m.is_nan() {
             return Ok(());
         }
         check_numbers(row.numbers())?;
