@@ -11,10 +11,10 @@ use crate::levenberg::white_noise_sd;
 use crate::prediction::{self, Car, FOLDS, Prediction, is_held_out};
 use crate::refusal::Refusal;
 use crate::rows::{
-    Row, SPEED_STEPS, delay_and_lag, limits_of_speed, limits_of_steering, slip_row, speed_rows,
-    steering_rows,
+    Row, SPEED_STEPS, delay_and_lag, limits_of_speed, limits_of_steering, point_with_slip,
+    slip_row, speed_rows, steering_rows,
 };
-use crate::slip::fit_slip;
+use crate::slip::{Slip, fit_slip};
 use crate::speed::Speed;
 use crate::steering::{self, HEADING, POSITION, Steering};
 
@@ -175,7 +175,8 @@ pub fn identify(
     }
     let point_m = options.point.of(vehicle);
     let undetermined = || Refusal::Undetermined;
-    let slip = slip_of(&chosen, vehicle, &|_| true);
+    let of_slip = slip_of(&chosen, vehicle, &|_| true);
+    let slip = of_slip.map(|it| slip_row(it, vehicle));
     let measured = options.wheelbase_is_measured;
     let limits = limits_of_steering(vehicle);
     let of_steering = fit_steering(&chosen, &slipping(vehicle, &slip), point_m, measured, &limits)
@@ -185,6 +186,7 @@ pub fn identify(
 
     let mut rows = steering_rows(&of_steering, vehicle, point_m, options);
     rows.extend(slip);
+    point_with_slip(&mut rows, of_slip.flatten());
     rows.extend(speed_rows(&of_speed, vehicle));
     let new = apply(vehicle, &rows, options);
 
@@ -246,15 +248,15 @@ fn drive_next(rows: &[Row]) -> Vec<String> {
     next
 }
 
-/// What blocks of the drive tell of the rear axle's slip, for a model that has such a key.
+/// What blocks of the drive tell of the rear axle's slip, if anything; `None` for a model that has no such key.
 fn slip_of(
     stretches: &[Stretch],
     vehicle: &Vehicle,
     counts: &dyn Fn(usize) -> bool,
-) -> Option<Row> {
+) -> Option<Option<Slip>> {
     // The dynamic model's tyres slip by themselves.
     let slips = vehicle.model == VehicleModel::Kinematic;
-    slips.then(|| slip_row(fit_slip(stretches, counts), vehicle))
+    slips.then(|| fit_slip(stretches, counts))
 }
 
 /// The vehicle with the slip of a row.
@@ -279,7 +281,7 @@ fn predict(
         let counts = |block: usize| !is_held_out(block, fold);
         let speed_at = refit(Speed::new(stretches, &steered), of_speed, &counts);
         let measured = options.wheelbase_is_measured;
-        let slip = slip_of(stretches, vehicle, &counts);
+        let slip = slip_of(stretches, vehicle, &counts).map(|it| slip_row(it, vehicle));
         let joint = Steering::new(stretches, &slipping(vehicle, &slip), point_m, measured, true);
         let steering_at = refit(joint, of_steering, &counts);
         let mut rows = steering_rows(&part(of_steering, steering_at), vehicle, point_m, options);

@@ -6,6 +6,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::fit::Z95;
+
 /// Huber's constant: 95 % as efficient as plain least squares where the noise is Gaussian.
 pub(crate) const HUBER: f64 = 1.345;
 /// Median of |x| of a Gaussian x with a standard deviation of 1, inverted.
@@ -272,14 +274,32 @@ pub(crate) struct Spread {
     pub(crate) independent: DMatrix<f64>,
     /// Covariance if only blocks are independent: that of a linearised bootstrap over blocks in the limit of many draws.
     pub(crate) by_blocks: DMatrix<f64>,
+    /// What each block tells: JᵀW²J of its residuals.
+    pub(crate) told_by: Vec<DMatrix<f64>>,
 }
 
 impl Spread {
-    /// Variance of a linear combination of the fitted parameters (`of` has one factor for each): the wider of both.
+    /// Variance of a linear combination of the fitted parameters (`of` has one factor for each): the wider of both. A scatter
+    /// over few blocks is itself uncertain, so that of the blocks is taken for as much wider as Student's interval is than the
+    /// normal one, with as many blocks as tell this combination evenly.
     pub(crate) fn variance(&self, of: &DVector<f64>) -> f64 {
         let quadratic = |matrix: &DMatrix<f64>| (of.transpose() * matrix * of)[(0, 0)];
-        quadratic(&self.independent).max(quadratic(&self.by_blocks))
+        let tells = &self.independent * of;
+        let shares = self.told_by.iter().map(|it| (tells.transpose() * it * &tells)[(0, 0)]);
+        let (sum, squares) =
+            shares.fold((0.0, 0.0), |(sum, squares): (f64, f64), it| (sum + it, squares + it * it));
+        let blocks = if squares > 0.0 { sum * sum / squares } else { f64::INFINITY };
+        let wider = student(blocks - 1.0) / Z95;
+        quadratic(&self.independent).max(wider * wider * quadratic(&self.by_blocks))
     }
+}
+
+/// The 97.5th percentile of Student's distribution with so many degrees of freedom, at least three: by Cornish and Fisher's
+/// expansion, within 2 %.
+fn student(freedom: f64) -> f64 {
+    let (n, z) = (freedom.max(3.0), Z95);
+    let cubed = z * z * z;
+    z + (cubed + z) / (4.0 * n) + (5.0 * cubed * z * z + 16.0 * cubed + 3.0 * z) / (96.0 * n * n)
 }
 
 /// The spread of the parameters around the place that a fit has found; `None` if a parameter has no effect whatever.
@@ -305,12 +325,17 @@ pub(crate) fn spread(model: &impl Model, weights: &Weights, at: &[f64]) -> Optio
     let inverse = (normal + &prior).cholesky()?.inverse();
     let blocks = model.places().iter().map(|it| it.block + 1).max().unwrap_or(0);
     let mut gradients = vec![DVector::<f64>::zeros(count); blocks];
+    let mut told_by = vec![DMatrix::<f64>::zeros(count, count); blocks];
     let mut is_used = vec![false; blocks];
     for (index, place) in model.places().iter().enumerate() {
         let weighted = here.residuals[index] * weights.each[index];
         is_used[place.block] |= weights.each[index] > 0.0;
+        let told = &mut told_by[place.block];
         for (row, slope) in slopes.iter().enumerate() {
             gradients[place.block][row] += slope[index] * weighted;
+            for (column, other) in slopes.iter().enumerate() {
+                told[(row, column)] += slope[index] * other[index];
+            }
         }
     }
     let used = is_used.iter().filter(|used| **used).count().max(2) as f64;
@@ -319,5 +344,5 @@ pub(crate) fn spread(model: &impl Model, weights: &Weights, at: &[f64]) -> Optio
         scatter += &gradient * gradient.transpose() * (used / (used - 1.0));
     }
     let by_blocks = &inverse * scatter * &inverse;
-    Some(Spread { free, independent: inverse, by_blocks })
+    Some(Spread { free, independent: inverse, by_blocks, told_by })
 }

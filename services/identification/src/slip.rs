@@ -30,6 +30,8 @@ pub(crate) struct Slip {
     pub(crate) at_s2pm: f64,
     /// Half the width of its 95 % interval.
     pub(crate) half_s2pm: f64,
+    /// How far the point that suits the drive moves ahead for each rad/(m/s²) more of slip, in m.
+    pub(crate) point_m_per_s2pm: f64,
 }
 
 /// One sample of a window: what its two coordinates are made of, less the window's means, and what was measured.
@@ -98,7 +100,9 @@ pub(crate) fn fit_slip(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) ->
     }
     let variance = |scatter: Matrix4<f64>| (inverse * scatter * inverse)[(3, 3)];
     let half_s2pm = Z95 * variance(together).max(variance(white)).max(0.0).sqrt();
-    let slip = Slip { at_s2pm: found[3], half_s2pm };
+    // Of the other three, the best ones at another slip.
+    let point_m_per_s2pm = inverse[(2, 3)] / inverse[(3, 3)];
+    let slip = Slip { at_s2pm: found[3], half_s2pm, point_m_per_s2pm };
     (slip.at_s2pm.is_finite() && half_s2pm.is_finite()).then_some(slip)
 }
 

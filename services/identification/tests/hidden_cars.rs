@@ -147,7 +147,7 @@ fn figures_of_many_hidden_cars() {
     let each_s = started.elapsed().as_secs_f64() / n as f64;
     println!("{n} cars, {each_s:.2} s each (drive and identification)");
     println!(
-        "key                    unit  |error| median     p90  half p50  half/(1.96 sd)  identified  covered  p"
+        "key                    unit  |error| median     p90    mean  half p50  half/(1.96 sd)  identified  covered  p"
     );
     for (key, unit, of, log) in KEYS {
         let all: Vec<Reading> =
@@ -159,9 +159,10 @@ fn figures_of_many_hidden_cars() {
         let half = quantile(&mut halves, 0.5);
         let covered = known.iter().filter(|it| it.covered).count();
         println!(
-            "{key:22} {unit:5} {:14.3} {:7.3} {half:9.3} {:15.2} {:11} {covered:8} {:.3}",
+            "{key:22} {unit:5} {:14.3} {:7.3} {:7.3} {half:9.3} {:15.2} {:11} {covered:8} {:.3}",
             quantile(&mut errors, 0.5),
             quantile(&mut errors, 0.9),
+            known.iter().map(|it| it.error).sum::<f64>() / known.len() as f64,
             half / (1.96 * sd),
             known.len(),
             binomial_p(covered, known.len()),
@@ -173,12 +174,14 @@ fn figures_of_many_hidden_cars() {
         let truth = car.steering_delay_s + car.steering_lag_s;
         let row = &found.delay_and_lag;
         let [low, high] = row.interval.unwrap();
-        sums.push(1e3 * (row.after - truth).abs());
+        sums.push(1e3 * (row.after - truth));
         halves.push(500.0 * (high - low));
         covered += usize::from(low <= truth && truth <= high);
     }
+    let mean = sums.iter().sum::<f64>() / n as f64;
+    sums.iter_mut().for_each(|it| *it = it.abs());
     println!(
-        "delay + lag            ms    {:14.3} {:7.3} {:9.3}                 {n:11} {covered:8} {:.3}",
+        "delay + lag            ms    {:14.3} {:7.3} {mean:7.3} {:9.3}                 {n:11} {covered:8} {:.3}",
         quantile(&mut sums.clone(), 0.5),
         quantile(&mut sums, 0.9),
         quantile(&mut halves, 0.5),

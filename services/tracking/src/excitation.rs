@@ -1,13 +1,14 @@
 //! What to drive so that a car's values show: standing, steering steps, a sine that gets quicker, and speed steps.
 
 /// How long it takes.
-pub const EXCITATION_S: f64 = 46.0;
+pub const EXCITATION_S: f64 = 52.0;
 
 /// The command at a time since the beginning: steering angle (rad) and speed (m/s).
 ///
 /// With A = `steering_rad`, v = `speed_mps` and all angles around `turn_rad`: 1 s standing; 3 s straight on at v; steering
 /// steps of A, −A, A/2 and −A/2, 2.5 s each; a sine of 0.48 A from 0.1 Hz to 1.5 Hz, 12 s; then speeds of 1.75 v, v, 2 v,
-/// 0.6 v and v, 4 s each, at 1.75 v and 2 v with a sine of 0.72 A that takes 3 s.
+/// 0.6 v and v, 10 s of 2 v and 4 s of the others, at 1.75 v with a sine of 0.72 A that takes 3 s, and at 2 v with one that
+/// takes 8 s.
 pub fn excitation(time_s: f64, steering_rad: f64, speed_mps: f64, turn_rad: f64) -> (f64, f64) {
     let (steering, speed) = match time_s {
         ..1.0 => return (0.0, 0.0),
@@ -23,16 +24,22 @@ pub fn excitation(time_s: f64, steering_rad: f64, speed_mps: f64, turn_rad: f64)
             (0.48 * libm::sin(std::f64::consts::TAU * turns), 1.0)
         }
         _ => {
-            let speeds = [1.75, 1.0, 2.0, 0.6, 1.0];
-            // Fast bends tell how the tyres slip.
-            let bend =
-                |begin_s: f64| 0.72 * libm::sin(std::f64::consts::TAU * (time_s - begin_s) / 3.0);
+            // Fast bends tell how the tyres slip: long ones the most, in which the car turns far.
+            let bend = |begin_s: f64, takes_s: f64| {
+                0.72 * libm::sin(std::f64::consts::TAU * (time_s - begin_s) / takes_s)
+            };
             let steering = match time_s {
-                27.0..30.0 => bend(27.0),
-                34.75..37.75 => bend(34.75),
+                27.0..30.0 => bend(27.0, 3.0),
+                35.25..43.25 => bend(35.25, 8.0),
                 _ => 0.0,
             };
-            (steering, speeds[(((time_s - 26.0) / 4.0) as usize).min(4)])
+            let speed = match time_s {
+                ..30.0 => 1.75,
+                34.0..44.0 => 2.0,
+                44.0..48.0 => 0.6,
+                _ => 1.0,
+            };
+            (steering, speed)
         }
     };
     (turn_rad + steering_rad * steering, speed_mps * speed)
