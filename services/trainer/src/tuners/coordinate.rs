@@ -1,14 +1,15 @@
-//! Coordinate search: one parameter after the other is tried at several values, and keeps the best. Once a round over all
-//! parameters has changed nothing, the search starts again from the best set with half of its parameters drawn anew. It
-//! starts first in the middle.
+//! Coordinate search: one parameter after the other goes on value by value, to one side or else to the other, for as long as
+//! that is better. (Trying all values of a parameter at once takes nearly twice as many drives: in the roundabout's grid 39
+//! instead of 20 until half of 400 searches had driven a set in the best 1 %.) Once a round over all parameters has changed
+//! nothing, the search starts again from the best set with half of its parameters drawn anew. It starts first in the middle.
 
 use config::RunConfig;
 
 use crate::search::{Known, Method, Point, Search, Space};
 
-/// An axis of the grid with at most so many values is tried at all of them.
-const ALL: usize = 9;
-/// Otherwise it is tried at so many values on each side, over a span that becomes half as long with each round.
+/// An axis of the grid with at most so many values is gone along value by value.
+const FEW: usize = 9;
+/// Another is tried at so many values on each side, over a span that becomes half as long with each round.
 const EACH_SIDE: i32 = 3;
 /// How often a start near the best set is drawn, until it is new.
 const TRIES: usize = 20;
@@ -29,6 +30,10 @@ pub(crate) struct Coordinate {
     /// The axes in the order of this round, and how many of them are done.
     order: Vec<usize>,
     done: usize,
+    /// The side to which this axis is gone along, 1 or -1, and whether the other side is none to be tried any more; 0 before
+    /// the axis is begun, and for one that is tried at values on each side.
+    side: i32,
+    is_last_side: bool,
     /// How far from the point an axis is tried, as a share of the axis.
     span: f64,
     has_improved: bool,
@@ -44,6 +49,8 @@ impl Coordinate {
             value: f64::INFINITY,
             order: (0..dimensions).collect(),
             done: 0,
+            side: 0,
+            is_last_side: false,
             span: 1.0,
             has_improved: false,
             tried: Vec::new(),
@@ -63,7 +70,36 @@ impl Coordinate {
             let other = space.rng.below(last + 1);
             self.order.swap(last, other);
         }
-        (self.done, self.has_improved) = (0, false);
+        (self.done, self.side, self.has_improved) = (0, 0, false);
+    }
+
+    /// Turns to the other side of this axis, or goes on to the next axis.
+    fn turn(&mut self) {
+        if self.is_last_side {
+            (self.done, self.side) = (self.done + 1, 0);
+        } else {
+            (self.side, self.is_last_side) = (-self.side, true);
+        }
+    }
+
+    /// The next value along this axis, which has so many; `None` once there is no more to try.
+    fn next_along(&mut self, values: usize, space: &mut Space) -> Option<Point> {
+        let axis = self.order[self.done];
+        if self.side == 0 {
+            self.side = if space.rng.below(2) == 0 { 1 } else { -1 };
+            self.is_last_side = false;
+        }
+        let last = values as i32 - 1;
+        let place = (self.at[axis] * f64::from(last)).round() as i32;
+        while self.side != 0 {
+            if (0..=last).contains(&(place + self.side)) {
+                let mut point = self.at.clone();
+                point[axis] = f64::from(place + self.side) / f64::from(last);
+                return Some(space.cube.nearest(&point));
+            }
+            self.turn();
+        }
+        None
     }
 }
 
@@ -87,57 +123,79 @@ fn near_best(space: &mut Space) -> Point {
     space.draw_new(&[]).unwrap_or_else(|| space.draw())
 }
 
+impl Coordinate {
+    /// The points to be tried next.
+    fn next(&mut self, space: &mut Space) -> Vec<Point> {
+        loop {
+            if self.value.is_infinite() {
+                return vec![self.at.clone()];
+            }
+            if self.done == self.order.len() {
+                let is_fine = (0..self.order.len())
+                    .all(|axis| space.cube.values(axis).is_some_and(|values| values <= FEW));
+                self.span /= 2.0;
+                if self.has_improved || (!is_fine && self.span >= LEAST_SPAN) {
+                    self.start_round(space);
+                } else {
+                    let at = near_best(space);
+                    self.start(at, space);
+                    continue;
+                }
+            }
+            let axis = self.order[self.done];
+            match space.cube.values(axis) {
+                Some(1) => self.done += 1,
+                Some(values) if values <= FEW => {
+                    if let Some(point) = self.next_along(values, space) {
+                        return vec![point];
+                    }
+                }
+                _ => {
+                    self.done += 1;
+                    // In the first round over the whole axis, wherever the point lies.
+                    let centre = if self.span == 1.0 { 0.5 } else { self.at[axis] };
+                    let side = |it: i32| {
+                        let mut point = self.at.clone();
+                        point[axis] =
+                            centre + f64::from(it) / f64::from(EACH_SIDE) * self.span / 2.0;
+                        space.cube.nearest(&point)
+                    };
+                    return (-EACH_SIDE..=EACH_SIDE).map(side).collect();
+                }
+            }
+        }
+    }
+}
+
 impl Method for Coordinate {
     fn propose(&mut self, space: &mut Space, _room: usize) -> Vec<Point> {
-        if self.done == self.order.len() {
-            let is_fine = (0..self.order.len())
-                .all(|axis| space.cube.values(axis).is_some_and(|values| values <= ALL));
-            self.span /= 2.0;
-            if self.has_improved || (!is_fine && self.span >= LEAST_SPAN) {
-                self.start_round(space);
-            } else {
-                let at = near_best(space);
-                self.start(at, space);
-            }
-        }
-        let axis = self.order[self.done];
-        self.done += 1;
-        let along = |coordinate: f64| {
-            let mut point = self.at.clone();
-            point[axis] = coordinate;
-            space.cube.nearest(&point)
-        };
-        self.tried = match space.cube.values(axis) {
-            Some(1) => Vec::new(),
-            Some(values) if values <= ALL => {
-                (0..values).map(|it| along(it as f64 / (values - 1) as f64)).collect()
-            }
-            _ => {
-                // In the first round over the whole axis, wherever the point lies.
-                let centre = if self.span == 1.0 { 0.5 } else { self.at[axis] };
-                let side = |it: i32| {
-                    along(centre + f64::from(it) / f64::from(EACH_SIDE) * self.span / 2.0)
-                };
-                (-EACH_SIDE..=EACH_SIDE).map(side).collect()
-            }
-        };
-        if self.value.is_infinite() {
-            self.tried.insert(0, self.at.clone());
-        }
+        self.tried = self.next(space);
         self.tried.clone()
     }
 
     fn learn(&mut self, values: &[f64]) {
-        for (point, value) in std::mem::take(&mut self.tried).into_iter().zip(values) {
+        let mut is_better = false;
+        let tried = std::mem::take(&mut self.tried);
+        for (point, value) in tried.iter().zip(values) {
             if *value < self.value {
-                self.has_improved |= self.value.is_finite() && point != self.at;
-                (self.at, self.value) = (point, *value);
+                is_better |= self.value.is_finite() && *point != self.at;
+                (self.at, self.value) = (point.clone(), *value);
+            }
+        }
+        self.has_improved |= is_better;
+        if self.side != 0 && !tried.is_empty() {
+            if is_better {
+                // Where it came from is worse.
+                self.is_last_side = true;
+            } else {
+                self.turn();
             }
         }
     }
 
     fn state(&self) -> Vec<f64> {
         let mut state = vec![self.value, self.done as f64, self.span, f64::from(self.has_improved)];
+        state.extend([f64::from(self.side), f64::from(self.is_last_side)]);
         state.extend(&self.at);
         state.extend(self.order.iter().map(|axis| *axis as f64));
         state.extend(self.tried.iter().flatten());
@@ -146,7 +204,7 @@ impl Method for Coordinate {
 
     fn restore(&mut self, state: &[f64]) -> bool {
         let count = self.order.len();
-        let Some((head, rest)) = state.split_at_checked(4) else { return false };
+        let Some((head, rest)) = state.split_at_checked(6) else { return false };
         if rest.len() < 2 * count || rest.len() % count != 0 {
             return false;
         }
@@ -156,15 +214,57 @@ impl Method for Coordinate {
         let is_share = |it: &f64| (0.0..=1.0).contains(it);
         if !sorted.into_iter().eq(0..count)
             || !(0.0..=count as f64).contains(&head[1])
+            || ![-1.0, 0.0, 1.0].contains(&head[4])
             || !at.iter().chain(tried).all(is_share)
         {
             return false;
         }
         (self.value, self.done, self.span) = (head[0], head[1] as usize, head[2]);
         self.has_improved = head[3] != 0.0;
+        (self.side, self.is_last_side) = (head[4] as i32, head[5] != 0.0);
         self.at = at.to_vec();
         self.order = order.iter().map(|axis| *axis as usize).collect();
         self.tried = tried.chunks(count).map(<[f64]>::to_vec).collect();
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use config::Layers;
+    use tracking::DriveRecord;
+
+    use crate::tuners;
+
+    #[test]
+    fn where_the_parameters_matter_apart_the_best_set_is_found_in_few_drives() {
+        let mut driven = 0;
+        for seed in 1..=20 {
+            let mut layers = Layers::maneuver("lane_change").unwrap();
+            layers.set("learning.tuner=coordinate").unwrap();
+            layers.set(&format!("run.seed={seed}")).unwrap();
+            let config = layers.resolve().unwrap();
+            let grid = config.grid();
+            let last = |axis: usize| grid.axes()[axis].len() as f64 - 1.0;
+            let best = [0.0, 1.0, 0.5, 0.25];
+            let mut tuner = tuners::tuner("coordinate", &config);
+            while !tuner.is_finished() {
+                let Some(ask) = (0..tuner.learners()).find_map(|it| tuner.wanted(it)) else {
+                    break;
+                };
+                let place = grid.find(&ask.parameters).unwrap();
+                let off =
+                    (0..4).map(|axis| (f64::from(place.0[axis]) / last(axis) - best[axis]).abs());
+                let off: f64 = off.sum();
+                tuner.tell(&ask, &DriveRecord::default(), 1.0 + off);
+                driven += 1;
+                // No set of the grid is nearer.
+                if off < 0.05 {
+                    break;
+                }
+            }
+        }
+        // With all values of each parameter it takes 14 on average.
+        assert!(driven <= 20 * 11, "{driven} drives");
     }
 }
