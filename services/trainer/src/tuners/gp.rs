@@ -398,7 +398,8 @@ mod tests {
 
     #[test]
     fn a_parameter_that_matters_little_is_tried_at_its_ends_beside_the_best_set() {
-        // The first one matters only near its lower end, where all is 12 % better.
+        // The first one matters little, and the upper end is the better one, but for the lower end itself, where all is 12 %
+        // better.
         for seed in 1..=8 {
             let seed = format!("run.seed={seed}");
             let sets =
@@ -410,7 +411,7 @@ mod tests {
             let value = |set: &Parameters| {
                 let share = (set.0[0] - low) / (high - low);
                 let others = bowl(&Parameters::of(&[3.0, set.0[1], set.0[2], set.0[3]]));
-                others * (1.12 - 0.12 * libm::exp(-(share / 0.06).powi(2)))
+                others * (1.12 - 0.04 * share - 0.12 * libm::exp(-(share / 0.03).powi(2)))
             };
             let mut tuner = tuners::tuner("gp", &config);
             drive(&mut *tuner, |ask| value(&ask.parameters));
