@@ -324,7 +324,6 @@ fn each_of_ten_laps_is_as_near_to_a_raceline_as_the_first() {
         ("mpc", &[]),
     ];
     for (law, gains) in sets {
-        // From rest, the first lap would be slower, and thus nearer to the path.
         let rolling = ["--laps", "10", "--set", "drive.start_speed_mps=3.6", "--law", law];
         let args =
             [&["drive", "--path", "raceline.csv", "--vehicle", "f1tenth"], &rolling[..], gains];
@@ -351,8 +350,11 @@ fn each_of_ten_laps_is_as_near_to_a_raceline_as_the_first() {
         let stood: Vec<_> = laps.iter().map(|lap| lap["stood"] == true).collect();
         assert_eq!(stood, [true, false, false, false, false], "{law}: {laps:?}");
         let second_m = number(&laps[1]["path_mean_m"]);
-        let alike = |lap: &Value| (number(&lap["path_mean_m"]) / second_m - 1.0).abs() < 0.02;
-        assert!(laps[1..].iter().all(alike), "{law}: {laps:?}");
+        let alike =
+            |lap: &Value, most: f64| (number(&lap["path_mean_m"]) / second_m - 1.0).abs() < most;
+        assert!(laps[1..].iter().all(|lap| alike(lap, 0.02)), "{law}: {laps:?}");
+        // Slower at its start, the first lap was 3 to 18 % nearer to the path, when all of it counted.
+        assert!(alike(&laps[0], 0.1), "{law}: {laps:?}");
     }
     sandbox.assert_clean();
 }

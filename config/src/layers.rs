@@ -110,10 +110,8 @@ impl Layers {
     /// # Errors
     /// At the first key that no preset has, value of another type, or syntax error; the error has its line.
     pub fn add_document(&mut self, origin: &str, text: &str) -> Result<(), ConfigError> {
-        let document = toml_edit::Document::parse(text).map_err(|error| {
-            let line = error.span().map_or(1, |span| line_of(text, span.start));
-            ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
-        })?;
+        let document = toml_edit::Document::parse(text)
+            .map_err(|error| no_toml(origin, text, error.span(), error.message()))?;
         let mut values = parse_table(origin, text)?;
         // The own file of a vehicle or a law has none of these keys, and must not name another file.
         for part in Part::ALL {
@@ -570,10 +568,21 @@ fn take_stated_noise(values: &mut Table, origins: &mut BTreeMap<String, String>)
 }
 
 pub(crate) fn parse_table(origin: &str, text: &str) -> Result<Table, ConfigError> {
-    text.parse::<Table>().map_err(|error| {
-        let line = error.span().map_or(1, |span| line_of(text, span.start));
-        ConfigError::new(format!("{origin}:{line}"), "", error.message().to_owned())
-    })
+    text.parse::<Table>()
+        .map_err(|error: toml::de::Error| no_toml(origin, text, error.span(), error.message()))
+}
+
+/// What is said of a text that cannot be read as TOML, at the place where that shows.
+fn no_toml(
+    origin: &str,
+    text: &str,
+    span: Option<std::ops::Range<usize>>,
+    message: &str,
+) -> ConfigError {
+    let line = span.map_or(1, |span| line_of(text, span.start));
+    let hint =
+        if text.contains('=') { "" } else { "; a TOML file is wanted here, of lines key = value" };
+    ConfigError::new(format!("{origin}:{line}"), "", format!("{message}{hint}"))
 }
 
 fn read_part(part: Part, name: &str, origin: &str) -> Result<String, ConfigError> {
@@ -686,6 +695,9 @@ fn unknown_key(known: &Table, key: &str, origin: String) -> ConfigError {
     });
     let hint = match near {
         Some(near) => format!("did you mean {near}?"),
+        None if ["vehicle", "law"].contains(&key) => {
+            "the keys of such a file stand without a heading".to_owned()
+        }
         None => "`pathtune config show` lists them all".to_owned(),
     };
     ConfigError::new(origin, key, format!("unknown key; {hint}"))

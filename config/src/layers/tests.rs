@@ -74,6 +74,7 @@ fn mistakes_name_place_key_and_way_out() {
     check("[learning]\nepisodes = 0", &["my.toml:2", "learning.episodes", "0", "[1, 100000]"]);
     check("[learning\n", &["my.toml:1"]);
     check("[run]\nalphas = [0.5, 1.5]", &["my.toml:2", "run.alphas", "1.5", "(0, 1]"]);
+    check("x_m,y_m\n0,0\n", &["my.toml:", "a TOML file is wanted here"]);
     check("[learning]\ntuner = 'sarsa'", &["my.toml:2", "learning.tuner", "sarsa"]);
     check("[grid]\nkv = { min = 3.0, max = 1.0 }", &["my.toml:2", "grid.kv", "reversed"]);
     check("[grid.kv]\nstep = 0.0", &["my.toml:2", "grid.kv.step"]);

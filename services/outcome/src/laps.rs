@@ -9,12 +9,12 @@ pub struct Lap {
     /// Lap time: from the tick at which the vehicle began the lap to the one at which it began the next or reached the
     /// path's end; null for a lap that was not driven to its end.
     pub time_s: Option<f64>,
-    /// Mean distance from the path in this lap.
+    /// Mean distance from the path in this lap. The stretch on which a vehicle that starts from rest comes up to the path's
+    /// speed is left out of every lap, so that they can be compared.
     pub path_mean_m: f64,
     /// Largest distance from the path in this lap.
     pub path_max_m: f64,
-    /// Whether the vehicle stood at a moment of this lap, as in a start from rest: such a lap is slower than the others, and
-    /// so some per cent nearer to the path.
+    /// Whether the vehicle stood at a moment of this lap, as in a start from rest: such a lap is slower than the others.
     #[serde(default)]
     pub stood: bool,
 }

@@ -45,7 +45,10 @@ pub(crate) fn section(page: &mut Page, laps: &BTreeMap<String, Vec<Lap>>) {
                     }
                 }
             }
-            p { "Lap times are exact to a tick. A lap from rest is slower, and so nearer to the path." }
+            p {
+                "Lap times are exact to a tick. The stretch on which the car comes up to speed at the start is left out of the "
+                "mean distance of every lap, so that laps can be compared."
+            }
         },
     );
 }

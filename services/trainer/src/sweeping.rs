@@ -9,7 +9,7 @@ use ipc_types::{Attempt, BatchHeader, DriveOutcome, DriveReport, LearnerProgress
 use outcome::Lap;
 use runtime::Bus;
 use runtime::clock::now_ns;
-use tracking::LapRecorder;
+use tracking::{LapRecorder, Reference};
 
 use crate::along::{SingleSums, Sums};
 use crate::recording::{Recorder, Taken};
@@ -34,8 +34,7 @@ pub(crate) struct Place {
 
 /// What counts the laps of a recorded drive; `None` if the path is driven once.
 pub(crate) fn laps_of(config: &RunConfig) -> Option<LapRecorder> {
-    let path = || tracking::Path::new(&config.path);
-    (config.path.laps > 1).then(|| LapRecorder::new(path(), config.drive.tick_s))
+    (config.path.laps > 1).then(|| LapRecorder::new(Reference::new(config), config.drive.tick_s))
 }
 
 /// The result of one look at a sweep.
