@@ -238,7 +238,7 @@ fn the_seventeenth_observer_is_refused_until_a_place_is_free() {
 #[test]
 fn monitors_change_no_digest_and_leave_nothing() {
     let sandbox = Sandbox::new();
-    let args = ["lane_change", "--no-memo", "--episodes", "30"];
+    let args = ["lane_change", "--no-memo", "--episodes", "10"];
     let alone = sandbox.train("alone", &args);
     let mut training = sandbox.start_training("watched", &args);
     training.wait_until_it_drives();

@@ -244,7 +244,7 @@ fn a_file_cut_off_by_a_kill_is_read_up_to_its_last_chunk() {
 #[test]
 fn a_run_is_recorded_from_another_terminal() {
     let sandbox = Sandbox::new();
-    let args = ["lane_change", "--no-memo", "--episodes", "40"];
+    let args = ["lane_change", "--no-memo", "--episodes", "16"];
     let alone = sandbox.train("alone", &args);
     let mut training = sandbox.start_training("out", &args);
     training.wait_until_it_drives();
