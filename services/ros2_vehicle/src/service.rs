@@ -337,16 +337,26 @@ impl Notices {
 impl Drop for Adapter {
     /// However this process ends, as long as it can still send anything, the car stops.
     fn drop(&mut self) {
-        if !self.car.has_driven() || self.mend().is_err() {
+        if !self.car.has_driven() {
             return;
         }
-        let until = Instant::now() + HEARD_AGAIN;
-        while !self.ros.around().is_heard && Instant::now() < until {
-            std::thread::sleep(BETWEEN_STOPS);
-        }
-        for _ in 0..STOPS {
-            self.tell(Setpoint::default());
-            std::thread::sleep(BETWEEN_STOPS);
+        // A link that a pause just before has ended shows that only a moment later: then the car is told again.
+        for _ in 0..2 {
+            if let Err(why) = self.mend() {
+                tracing::warn!("the car could not be told to stop: {why:#}");
+                return;
+            }
+            let until = Instant::now() + HEARD_AGAIN;
+            while !self.ros.around().is_heard && Instant::now() < until {
+                std::thread::sleep(BETWEEN_STOPS);
+            }
+            for _ in 0..STOPS {
+                self.tell(Setpoint::default());
+                std::thread::sleep(BETWEEN_STOPS);
+            }
+            if self.ros.is_alive() {
+                break;
+            }
         }
         tracing::info!(
             "told the car to stop; commands were acknowledged after {:.3} s at most",
