@@ -320,6 +320,8 @@ constants!(
 
     /// Bit of `reasons`: the measured pose stands, or falls behind, although the vehicle drives by its own speed.
     pub const POSE_STANDS: u32 = 1 << 26;
+    /// Bit of `reasons`: the odometry's tick lies ahead of the time that has passed since the drive was requested.
+    pub const TIME_AHEAD: u32 = 1 << 27;
 
     /// Bit of `reasons`: the vehicle was not rearmed, because no leg of the path within its reach fits its heading.
     pub const NO_LEG: u32 = 1 << 16;
@@ -351,7 +353,8 @@ constants!(
         | Self::ODOMETRY_INVALID
         | Self::ODOMETRY_JUMP
         | Self::TIME_BACK
-        | Self::POSE_STANDS;
+        | Self::POSE_STANDS
+        | Self::TIME_AHEAD;
     /// A stop for one of these bits of `reasons` is a full brake with the wheels straight.
     pub const STRAIGHTENS: u32 = Self::BLIND | Self::STEERING_REVERSED;
     /// A stop for one of these bits of `reasons`, and none of those, is a full brake that the law goes on steering.

@@ -6,7 +6,7 @@ use ipc_types::{
     Attempt, BatchHeader, Command, DriveReport, DriveRequest, GainSwitch, KeptLawState, LawState,
     Odometry, RawCommand, Safety, TickHeader, TrackingError, WakeRole, WirePose, Zone, has,
 };
-use runtime::clock::now_ns;
+use runtime::clock::{is_ahead, now_ns};
 use runtime::{Bus, Counters, Inlet, Outlet, Received, Service, join, serve};
 use tracking::{DriveRecord, EndReason, Pose};
 
@@ -197,7 +197,7 @@ impl Controller {
             // A vehicle goes on after the end of its drive.
             return Ok(());
         }
-        if !self.expects(header) || odometry.len() != self.slots.len() {
+        if !self.expects(header, received_ns) || odometry.len() != self.slots.len() {
             self.counters.dropped += 1;
             return Ok(());
         }
@@ -262,9 +262,14 @@ impl Controller {
     }
 
     /// Whether odometry with this header is what the batch goes on with.
-    fn expects(&self, header: TickHeader) -> bool {
+    fn expects(&self, header: TickHeader, now_ns: u64) -> bool {
+        let tick_s = self.config.drive.tick_s;
         self.driving.is_some_and(|(batch, tick)| {
-            let is_next = if self.real_time { header.tick >= tick } else { header.tick == tick };
+            let is_next = if self.real_time {
+                header.tick >= tick && !is_ahead(header.tick, tick_s, batch.sent_ns, now_ns)
+            } else {
+                header.tick == tick
+            };
             header.attempt == batch.attempt && is_next
         })
     }

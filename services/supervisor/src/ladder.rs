@@ -284,6 +284,7 @@ mod tests {
             (Safety::ODOMETRY_INVALID, Some(Action::BrakeStraight)),
             (Safety::ODOMETRY_JUMP, Some(Action::BrakeStraight)),
             (Safety::TIME_BACK, Some(Action::BrakeStraight)),
+            (Safety::TIME_AHEAD, Some(Action::BrakeStraight)),
             // Of several, the hardest.
             (Safety::OUT_BY_NOISE | Safety::OUT_BY_YAW, Some(Action::Brake)),
             (Safety::OUT_BY_YAW | Safety::STEERING_REVERSED, Some(Action::BrakeStraight)),

@@ -95,10 +95,12 @@ impl Plausibility {
         let dt_s = (tick - last_tick) as f64 * self.tick_s;
         let rate_radps = last.yaw_rate_radps.abs().max(now.yaw_rate_radps.abs());
         let speed_mps = last.speed_mps.abs().max(now.speed_mps.abs()) + rate_radps * self.reach_m;
-        let moved_m = libm::hypot(now.pose.x_m - last.pose.x_m, now.pose.y_m - last.pose.y_m);
+        let (x_m, y_m) = (now.pose.x_m - last.pose.x_m, now.pose.y_m - last.pose.y_m);
         // A yaw that wraps around has not jumped.
         let turned_rad = wrap_angle(now.pose.yaw_rad - last.pose.yaw_rad);
-        moved_m > speed_mps * dt_s + self.limit_m
+        let reach_m = speed_mps * dt_s + self.limit_m;
+        // The sum is never less than the distance, and costs less.
+        x_m.abs() + y_m.abs() > reach_m && libm::hypot(x_m, y_m) > reach_m
             || turned_rad.abs() > rate_radps * dt_s + self.limit_rad
     }
 }

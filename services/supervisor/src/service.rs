@@ -233,6 +233,14 @@ impl Slot {
         faults == 0
     }
 
+    /// Takes odometry that cannot be believed, but for its speed.
+    fn refuse(&mut self, faults: u32, speed_mps: f64) {
+        if speed_mps.is_finite() {
+            self.speed_mps = speed_mps;
+        }
+        self.watch.disbelieve(faults, speed_mps);
+    }
+
     /// Takes over what the controller reports; returns the zone that the vehicle has entered, if any.
     fn hear(&mut self, tick: u64, raw: &RawCommand) -> Option<u32> {
         self.raw = *raw;

@@ -22,8 +22,8 @@ const OFF_ONE_IN: u32 = 20;
 /// Compares the yaw rate of one vehicle with its commands.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Unseen {
-    /// Commanded steering angles, the newest first.
-    told_rad: Vec<f64>,
+    /// Commanded steering angles, the newest first, and the tangents of those that are clear.
+    told: Vec<(f64, f64)>,
     /// For each age of the command: the wheelbase that the first tick shows, and how many ticks agree and differ.
     by_age: [Agreement; AGES],
     is_computed: bool,
@@ -41,7 +41,7 @@ impl Unseen {
     pub(crate) fn new(config: &RunConfig) -> Self {
         let recent = (RECENT_S / config.drive.tick_s).round().max(1.0) as usize;
         Self {
-            told_rad: vec![0.0; AGES + recent],
+            told: vec![(0.0, 0.0); AGES + recent],
             by_age: [Agreement::default(); AGES],
             is_computed: false,
         }
@@ -50,15 +50,20 @@ impl Unseen {
     /// Takes the command that the vehicle has, and what its odometry says.
     #[inline]
     pub(crate) fn see(&mut self, steering_rad: f64, speed_mps: f64, yaw_rate_radps: f64) {
-        self.told_rad.rotate_right(1);
-        self.told_rad[0] = steering_rad;
+        if self.is_computed {
+            return;
+        }
+        // Each tangent serves for all ages.
+        let tangent = if steering_rad.abs() < CLEAR_RAD { 0.0 } else { libm::tan(steering_rad) };
+        self.told.rotate_right(1);
+        self.told[0] = (steering_rad, tangent);
+        let recent = self.told.len() - AGES;
         for (age, agreement) in self.by_age.iter_mut().enumerate() {
-            let (told_rad, before_rad) =
-                (self.told_rad[age], self.told_rad[age + self.told_rad.len() - AGES]);
+            let ((told_rad, tangent), (before_rad, _)) = (self.told[age], self.told[age + recent]);
             if told_rad.abs() < CLEAR_RAD || (told_rad - before_rad).abs() < CHANGED_RAD {
                 continue;
             }
-            let wheelbase_m = speed_mps * libm::tan(told_rad) / yaw_rate_radps;
+            let wheelbase_m = speed_mps * tangent / yaw_rate_radps;
             if (wheelbase_m - agreement.wheelbase_m).abs() <= SHARE * agreement.wheelbase_m.abs() {
                 agreement.agree += 1;
             } else {

@@ -156,6 +156,15 @@ impl Watch {
         self.odometry_faults
     }
 
+    /// Takes odometry of which only the speed means something. `faults`: what is wrong with it, as bits of
+    /// [`Safety::reasons`].
+    pub fn disbelieve(&mut self, faults: u32, speed_mps: f64) {
+        self.odometry_faults = faults;
+        if speed_mps.is_finite() {
+            self.speed_mps = speed_mps;
+        }
+    }
+
     /// What is wrong with how the vehicle drives, as bits of [`Safety::reasons`].
     fn drive_faults(&self) -> u32 {
         self.deviation.as_ref().map_or(0, Deviation::faults)

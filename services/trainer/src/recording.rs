@@ -9,7 +9,7 @@ use anyhow::Result;
 use ipc_types::{
     BatchHeader, Command, Credit, DriveRequest, Message, Odometry, TickHeader, TrackingError, has,
 };
-use runtime::clock::now_ns;
+use runtime::clock::{is_ahead, now_ns};
 use runtime::{Bus, Inlet, Outlet, Received};
 use serde::Serialize;
 use tracking::{Pose, tracking_error};
@@ -138,8 +138,14 @@ impl<M: Message<Header = TickHeader>> JoinedTopic<M> {
         self.next_tick = 0;
     }
 
-    /// Takes what has come; returns whether there was anything.
-    fn take(&mut self, batch: BatchHeader, slots: &[Recorded]) -> Result<bool> {
+    /// Takes what has come; returns whether there was anything. By the clock, `tick_s` tells which ticks lie ahead of it:
+    /// nobody answers those.
+    fn take(
+        &mut self,
+        batch: BatchHeader,
+        slots: &[Recorded],
+        tick_s: Option<f64>,
+    ) -> Result<bool> {
         for taken in 0..AT_ONCE {
             let message = match self.early.take() {
                 Some(early) => early,
@@ -154,7 +160,9 @@ impl<M: Message<Header = TickHeader>> JoinedTopic<M> {
                 return Ok(taken > 0);
             }
             // By the clock the supervisor may send several commands in a tick; the first one answers it.
-            let fits = header.attempt == batch.attempt && header.tick >= self.next_tick;
+            let fits = header.attempt == batch.attempt
+                && header.tick >= self.next_tick
+                && !tick_s.is_some_and(|it| is_ahead(header.tick, it, batch.sent_ns, now_ns()));
             if !fits || slots.iter().any(|slot| slot.slot >= message.items().len()) {
                 continue;
             }
@@ -219,10 +227,11 @@ impl Recorder {
         if self.slots.is_empty() {
             return Ok(false);
         }
+        let tick_s = self.by_clock.then_some(self.tick_s);
         let Self { batch, slots, .. } = self;
-        let mut any = self.odometry.take(*batch, slots)?;
-        any |= self.errors.take(*batch, slots)?;
-        any |= self.commands.take(*batch, slots)?;
+        let mut any = self.odometry.take(*batch, slots, tick_s)?;
+        any |= self.errors.take(*batch, slots, tick_s)?;
+        any |= self.commands.take(*batch, slots, tick_s)?;
         self.join_topics()?;
         if self.ticks >= self.credited + CREDIT_EVERY {
             self.credited = self.ticks;

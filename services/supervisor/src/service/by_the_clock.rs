@@ -5,7 +5,7 @@ use anyhow::Result;
 use ipc_types::{
     BatchHeader, KeptLawState, LawState, Odometry, RawCommand, Safety, TickHeader, Zone, has,
 };
-use runtime::clock::now_ns;
+use runtime::clock::{is_ahead, now_ns};
 
 use super::{Slot, Supervisor, announce, tell_safety};
 use crate::Action;
@@ -75,6 +75,9 @@ impl Supervisor {
             return;
         }
         let joins = self.clocked.as_ref().is_some_and(|it| it.joins && it.seen.is_none());
+        if is_ahead(header.tick, self.tick_s, self.batch.sent_ns, now_ns()) {
+            return self.refuse(header, odometry, joins);
+        }
         for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
             let believed = slot.see(header.tick, odometry, joins);
             self.counters.rejected += u64::from(!believed);
@@ -85,6 +88,22 @@ impl Supervisor {
                 clocked.answered_ns = header.odometry_sent_ns;
             }
             clocked.seen = Some(header);
+        }
+    }
+
+    /// Takes odometry whose tick is wrong: the vehicle is there, and its speed tells whether it stands. A drive that is
+    /// `joined` still waits for odometry to begin with.
+    fn refuse(&mut self, header: TickHeader, odometry: &[Odometry], joined: bool) {
+        for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
+            slot.refuse(Safety::TIME_AHEAD, odometry.speed_mps);
+        }
+        self.counters.rejected += odometry.len() as u64;
+        if let Some(clocked) = self.clocked.as_mut().filter(|_| !joined) {
+            if clocked.seen.is_none() {
+                clocked.answered_ns = header.odometry_sent_ns;
+            }
+            let tick = clocked.seen.map_or(0, |seen| seen.tick);
+            clocked.seen = Some(TickHeader { tick, ..header });
         }
     }
 
