@@ -170,6 +170,8 @@ fn drive(
         fault.push("--small");
     }
     let mut args = vec!["--path", "p.csv", "--vehicle", car.preset(), "--gains", "3,21,21,0.7"];
+    // A car that is stopped and that nobody rearms.
+    args.extend(["--set", "drive.patience_s=20"]);
     let domain = own_domain();
     let set = format!("vehicle.ros2.domain_id={domain}");
     let log = sandbox.path("car.log");
@@ -308,8 +310,12 @@ fn faults_of_a_car_of_another_s_making_are_told_and_it_stays_near_its_path() {
             let mut ends = std::collections::BTreeMap::<String, u32>::new();
             for index in 0..count {
                 let shape = if kind.name == "jump" { Shape::Hairpin } else { Shape::Bend };
-                let at_s = 3.0 + 0.7 * f64::from(index % 8);
-                let at_s = if kind.name == "held" { 0.0 } else { at_s };
+                let at_s = match kind.name {
+                    "held" => 0.0,
+                    // A point that is not where the file says never was: if it came later, the pose would jump.
+                    "point_ahead" => -1.0,
+                    _ => 3.0 + 0.7 * f64::from(index % 8),
+                };
                 let story = drive(&python, over_dds, (car, shape), kind, at_s);
                 farthest_m = farthest_m.max(story.farthest_m);
                 along_m = along_m.max(story.along_m);
