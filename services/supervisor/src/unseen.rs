@@ -22,8 +22,12 @@ const OFF_ONE_IN: u32 = 20;
 /// Compares the yaw rate of one vehicle with its commands.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Unseen {
-    /// Commanded steering angles, the newest first, and the tangents of those that are clear.
+    /// Commanded steering angles, and the tangents of those that are clear: a ring whose length is a power of two, from the
+    /// newest on, which stands at `newest`.
     told: Vec<(f64, f64)>,
+    newest: usize,
+    /// How many ticks before an angle the one is that it is compared with.
+    recent: usize,
     /// For each age of the command: the wheelbase that the first tick shows, and how many ticks agree and differ.
     by_age: [Agreement; AGES],
     is_computed: bool,
@@ -41,7 +45,9 @@ impl Unseen {
     pub(crate) fn new(config: &RunConfig) -> Self {
         let recent = (RECENT_S / config.drive.tick_s).round().max(1.0) as usize;
         Self {
-            told: vec![(0.0, 0.0); AGES + recent],
+            told: vec![(0.0, 0.0); (AGES + recent).next_power_of_two()],
+            newest: 0,
+            recent,
             by_age: [Agreement::default(); AGES],
             is_computed: false,
         }
@@ -55,11 +61,12 @@ impl Unseen {
         }
         // Each tangent serves for all ages.
         let tangent = if steering_rad.abs() < CLEAR_RAD { 0.0 } else { libm::tan(steering_rad) };
-        self.told.rotate_right(1);
-        self.told[0] = (steering_rad, tangent);
-        let recent = self.told.len() - AGES;
+        let mask = self.told.len() - 1;
+        self.newest = self.newest.wrapping_sub(1) & mask;
+        self.told[self.newest] = (steering_rad, tangent);
+        let ago = |ticks: usize| self.told[(self.newest + ticks) & mask];
         for (age, agreement) in self.by_age.iter_mut().enumerate() {
-            let ((told_rad, tangent), (before_rad, _)) = (self.told[age], self.told[age + recent]);
+            let ((told_rad, tangent), (before_rad, _)) = (ago(age), ago(age + self.recent));
             if told_rad.abs() < CLEAR_RAD || (told_rad - before_rad).abs() < CHANGED_RAD {
                 continue;
             }
