@@ -700,6 +700,10 @@ pub struct Vehicle {
     pub cornering_stiffness_rear_npr: f64,
     #[serde(default)]
     pub rear_slip_s2pm: f64,
+    #[serde(default)]
+    pub yaw_lag_s2pm: f64,
+    #[serde(default)]
+    pub understeer_s2pm: f64,
     pub gear_engaged: bool,
     pub gear_drive_s: f64,
     pub gear_reverse_s: f64,

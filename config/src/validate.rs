@@ -437,20 +437,32 @@ pub(crate) fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     above("vehicle.cornering_stiffness_front_npr", v.cornering_stiffness_front_npr, 0.0, 1e7)?;
     above("vehicle.cornering_stiffness_rear_npr", v.cornering_stiffness_rear_npr, 0.0, 1e7)?;
     within("vehicle.rear_slip_s2pm", v.rear_slip_s2pm, 0.0, MOST_REAR_SLIP_S2PM)?;
+    within("vehicle.yaw_lag_s2pm", v.yaw_lag_s2pm, 0.0, MOST_YAW_LAG_S2PM)?;
+    within("vehicle.understeer_s2pm", v.understeer_s2pm, 0.0, MOST_UNDERSTEER_S2PM)?;
     if v.model == VehicleModel::Dynamic { dynamic_vehicle(v) } else { Ok(()) }
 }
 
 /// Tyres that slip more than this under a load have none to speak of: a road car has 0.002 to 0.006 s²/m.
 const MOST_REAR_SLIP_S2PM: f64 = 0.05;
+/// A lag of the yaw rate that is longer is not one of tyres: a road car has some 0.005 s²/m.
+const MOST_YAW_LAG_S2PM: f64 = 0.05;
+/// A road car has up to 0.005 s²/m.
+const MOST_UNDERSTEER_S2PM: f64 = 0.05;
 
 /// Checks values that must fit together in the dynamic model, but do not matter to the kinematic one.
 fn dynamic_vehicle(v: &Vehicle) -> Result<(), Problem> {
-    if v.rear_slip_s2pm != 0.0 {
-        let problem = format!(
-            "is {}, but model = \"dynamic\" has tyres that slip by themselves; make it 0, or the model \"kinematic\"",
-            v.rear_slip_s2pm
-        );
-        return Err(("vehicle.rear_slip_s2pm".to_owned(), problem));
+    let keys = [
+        ("rear_slip_s2pm", v.rear_slip_s2pm),
+        ("yaw_lag_s2pm", v.yaw_lag_s2pm),
+        ("understeer_s2pm", v.understeer_s2pm),
+    ];
+    for (key, value) in keys {
+        if value != 0.0 {
+            let problem = format!(
+                "is {value}, but model = \"dynamic\" has tyres that slip by themselves; make it 0, or the model \"kinematic\""
+            );
+            return Err((format!("vehicle.{key}"), problem));
+        }
     }
     let (front_m, rear_m) = (v.front_axle_to_cg_m, v.wheelbase_m - v.front_axle_to_cg_m);
     if rear_m <= 0.0 {

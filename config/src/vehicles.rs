@@ -177,10 +177,13 @@ mod tests {
         check("steering_lag_s = -0.1", &["steering_lag_s", "[0, 10]"]);
         check("steering_offset_rad = 0.6", &["steering_offset_rad", "[-0.5, 0.5]"]);
         check("rear_slip_s2pm = 0.1", &["rear_slip_s2pm", "0.1", "[0, 0.05]"]);
+        check("understeer_s2pm = -0.1", &["understeer_s2pm", "-0.1", "[0, 0.05]"]);
+        check("yaw_lag_s2pm = 0.1", &["yaw_lag_s2pm", "0.1", "[0, 0.05]"]);
         check(
             "model = 'dynamic'\nrear_slip_s2pm = 0.004",
             &["rear_slip_s2pm", "slip by themselves"],
         );
+        check("model = 'dynamic'\nyaw_lag_s2pm = 0.004", &["yaw_lag_s2pm", "slip by themselves"]);
         check("steering_dead_band_rad = nan", &["steering_dead_band_rad", "NaN"]);
         check("speed_delay_s = -0.01", &["speed_delay_s", "[0, 1]"]);
     }

@@ -199,6 +199,12 @@ impl<'a> Subject<'a> {
                  region",
             );
         }
+        if vehicle.yaw_lag_s2pm != 0.0 || vehicle.understeer_s2pm != 0.0 {
+            return says(
+                "this car turns less or later at speed (vehicle.understeer_s2pm, vehicle.yaw_lag_s2pm), the certified one does \
+                 not; see Δ and the simulated region",
+            );
+        }
         if vehicle.steering_delay_s > 0.0 || vehicle.steering_lag_s > 0.0 {
             return says("the steering has dead time or lag; see Δ and the simulated region");
         }

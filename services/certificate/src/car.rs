@@ -1,6 +1,7 @@
 //! What the loop is made of: the car and the gains.
 
 use config::{Parameters, RunConfig};
+use tracking::Turning;
 
 /// The gains of the paper's law; see `config/laws/paper.toml`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -47,6 +48,12 @@ pub struct Car {
     /// Slip angle of the rear axle per lateral acceleration, rad/(m/s²).
     #[serde(default, skip_serializing_if = "is_zero")]
     pub rear_slip_s2pm: f64,
+    /// How much later the yaw rate comes for each m/s, s²/m.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub yaw_lag_s2pm: f64,
+    /// Gradient of understeer, s²/m.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub understeer_s2pm: f64,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde wants it")]
@@ -72,6 +79,8 @@ impl Car {
             steering_lag_s: vehicle.steering_lag_s,
             steering_gain: vehicle.steering_gain,
             rear_slip_s2pm: vehicle.rear_slip_s2pm,
+            yaw_lag_s2pm: vehicle.yaw_lag_s2pm,
+            understeer_s2pm: vehicle.understeer_s2pm,
         }
     }
 
@@ -79,5 +88,16 @@ impl Car {
     /// at which its tyres slip, of a point ahead of it. Seen from there the loop is that of a car that does not slip.
     pub fn tracked_m(&self, speed_mps: f64) -> f64 {
         self.tracked_point_m - self.rear_slip_s2pm * speed_mps * speed_mps
+    }
+
+    /// How it turns.
+    pub(crate) fn turning(&self) -> Turning {
+        Turning::with(self.wheelbase_m, self.understeer_s2pm, self.yaw_lag_s2pm)
+    }
+
+    /// What is left of the additional dead time of a loop whose yaw rate is not late ([`tracking::Turning`]): a lag costs a
+    /// loop no more than a dead time that is as long.
+    pub(crate) fn beyond_yaw_lag_s(&self, additional_s: f64, speed_mps: f64) -> f64 {
+        (additional_s - self.yaw_lag_s2pm * speed_mps).max(0.0)
     }
 }

@@ -73,7 +73,7 @@ impl Wheels {
     pub(crate) fn new(car: &Car, speed_mps: f64) -> Self {
         let step = |part: Part<1>| {
             let h = part.length_s;
-            let (v, wheelbase) = (speed_mps, car.wheelbase_m);
+            let (v, wheelbase) = (speed_mps, car.turning().wheelbase_m(speed_mps));
             Step {
                 part,
                 share: match car.steering_lag_s {
@@ -88,7 +88,7 @@ impl Wheels {
         };
         let parts = parts_of_tick([car.steering_delay_s], car.tick_s);
         let parts = parts.into_iter().map(step).collect();
-        Self { parts, yaw_rate: speed_mps / car.wheelbase_m }
+        Self { parts, yaw_rate: speed_mps / car.turning().wheelbase_m(speed_mps) }
     }
 
     /// How offset, heading and yaw rate answer to the command, at a point z of which `turned` gives the powers.

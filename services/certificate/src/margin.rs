@@ -28,7 +28,8 @@ pub(crate) fn additional_dead_time_on(
         return Err("no Δ: the car does not drive".to_owned());
     }
     if !is_exact(config) {
-        return Ok(LawLoop::on_plant(config, plant, set, speed_mps)?.additional_dead_time_s());
+        let loop_s = LawLoop::on_plant(config, plant, set, speed_mps)?.additional_dead_time_s();
+        return Ok(Car::new(plant).beyond_yaw_lag_s(loop_s, speed_mps));
     }
     let (car, gains) = (Car::new(plant), Gains::new(set));
     if gains.kv <= 0.0 {
@@ -38,7 +39,8 @@ pub(crate) fn additional_dead_time_on(
         Advance::Time => speed_mps / gains.kv,
         Advance::Projection => config.reference.lookahead_m,
     };
-    Ok(LateralLoop::new(&car, &gains, speed_mps, lead_m).additional_dead_time_s())
+    let loop_s = LateralLoop::new(&car, &gains, speed_mps, lead_m).additional_dead_time_s();
+    Ok(car.beyond_yaw_lag_s(loop_s, speed_mps))
 }
 
 /// Whether the loop is written down: that of the paper's law, where it knows nothing of the steering.

@@ -53,7 +53,8 @@ impl Equilibrium {
         }
         for _ in 0..2000 {
             let (sin, cos) = (libm::sin(at.heading_rad), libm::cos(at.heading_rad));
-            let steering_rad = libm::atan(car.wheelbase_m * turning / at.speed_mps);
+            let steering_rad =
+                libm::atan(car.turning().wheelbase_m(at.speed_mps) * turning / at.speed_mps);
             let filter = (1.0 - ki) * steering_rad / (ki * car.tick_s);
             let offset_m = -((filter + ks * at.heading_rad) / kl + at.lead_m * sin) / cos;
             let pushed = car.tracked_m(reference_mps) * turning;

@@ -117,12 +117,15 @@ impl Simulated {
         let Gains { kl, ks, ki, .. } = *gains;
         let (h, v, lead) = (car.tick_s, at.speed_mps, at.lead_m);
         let (limit, rate) = (car.steering_limit_rad, car.steering_rate_radps);
-        let turning = at.curvature * at.reference_mps;
+        let bend_radps = at.curvature * at.reference_mps;
         let p = car.tracked_m(v);
         let mut offset = at.offset_m + from[0];
         let mut heading = at.heading_rad + from[1];
         let mut filter = (at.steering_rad + from[2]).clamp(-limit, limit);
         let mut wheels = (at.steering_rad + from[3]).clamp(-limit, limit);
+        let mut turning = car.turning();
+        let asked_radps = turning.asked_radps(wheels, v);
+        turning.set(asked_radps, asked_radps);
         let mut line = vec![filter; delay + 1];
         let mut newest = 0;
         let reach = rate * h;
@@ -158,12 +161,12 @@ impl Simulated {
             } else {
                 (-libm::expm1(-h / car.steering_lag_s) * error).clamp(-reach, reach)
             };
-            let turned = h * v * libm::tan(wheels) / car.wheelbase_m;
+            let turned = turning.turn(wheels, v, h);
             let middle = heading + 0.5 * turned;
             offset += h * v * libm::sin(middle)
                 + p * (libm::sin(heading + turned) - sin)
-                + h * turning * lead;
-            heading += turned - h * turning;
+                + h * bend_radps * lead;
+            heading += turned - h * bend_radps;
             let is_near = (offset - at.offset_m).abs() < near_m
                 && (heading - at.heading_rad).abs() < 0.02
                 && (wheels - at.steering_rad).abs() < 0.02;

@@ -90,20 +90,21 @@ impl SimulatedLaw {
         let delay = libm::ceil(car.steering_delay_s / h - 1e-6) as usize;
         let mut line = vec![0.0; delay + 1];
         let mut wheels = 0.0_f64;
+        let mut turning = car.turning();
         let mut drive = self.settled.clone();
         let mut near_for = 0;
         for tick in 0..(LONGEST_S / h) as u64 {
             let (phase, mut seen) = self.probe.seen(self.lead_m, Probe::SETTLING_TICKS + tick);
             seen.measured.y_m = offset_m;
             seen.measured.yaw_rad = heading_rad;
-            seen.yaw_rate_radps = seen.speed_mps * libm::tan(wheels) / car.wheelbase_m;
+            seen.yaw_rate_radps = turning.yaw_rate_radps();
             let command = drive.tick(phase, seen).command.steering_rad;
             line[tick as usize % (delay + 1)] = command;
             // The oldest, which the next tick overwrites.
             let acting =
                 (car.steering_gain * line[(tick as usize + 1) % (delay + 1)]).clamp(-limit, limit);
             wheels += (share * (acting - wheels)).clamp(-reach, reach);
-            let turned = h * seen.speed_mps * libm::tan(wheels) / car.wheelbase_m;
+            let turned = turning.turn(wheels, seen.speed_mps, h);
             let middle = heading_rad + 0.5 * turned;
             let p = car.tracked_m(seen.speed_mps);
             offset_m += h * seen.speed_mps * libm::sin(middle)

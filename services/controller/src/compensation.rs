@@ -6,7 +6,7 @@
 //! file; odometry that is late counts as dead time of the steering.
 
 use config::RunConfig;
-use tracking::{DelayLine, Part, Pose, Reference, SteeringActuator};
+use tracking::{DelayLine, Part, Pose, Reference, SteeringActuator, Turning};
 
 use crate::Sight;
 use crate::laws::{LawState, RawCommand};
@@ -20,6 +20,7 @@ pub(crate) struct Compensation {
     offset_rad: f64,
     command_limit_rad: f64,
     points: Points,
+    turning: Turning,
     tick_s: f64,
     /// Ticks until a command reaches the wheels, and until they have followed it by the most part.
     delay_ticks: usize,
@@ -53,6 +54,7 @@ impl Compensation {
             offset_rad: vehicle.steering_offset_rad,
             command_limit_rad: config.controller.steering_limit_rad,
             points: Points::new(vehicle),
+            turning: Turning::new(vehicle),
             tick_s,
             delay_ticks,
             lag_ticks,
@@ -78,23 +80,32 @@ impl Compensation {
     ///
     /// `reference` is room for a copy of the reference.
     pub(crate) fn look_ahead<'a>(&self, sight: &Sight, reference: &'a mut Reference) -> Sight<'a> {
-        let ticks = self.delay_ticks + self.lag_ticks;
-        sight.ahead(reference, ticks as f64, self.predict(sight.pose, sight.speed_mps))
+        let late_ticks = self.turning.late_s(sight.speed_mps) / self.tick_s;
+        sight.ahead(
+            reference,
+            (self.delay_ticks + self.lag_ticks) as f64 + late_ticks,
+            self.predict(sight.pose, sight.speed_mps, sight.yaw_rate_radps),
+        )
     }
 
-    /// The pose of the tracked point after the dead time and the lag.
-    fn predict(&self, pose: Pose, speed_mps: f64) -> Pose {
-        let (tracked_m, wheelbase_m) =
-            (self.points.tracked_m(speed_mps), self.points.wheelbase_m());
+    /// The pose of the tracked point after the dead time and the lag, and that of the yaw rate. A car that turns late turns as
+    /// it does now, and comes to what its wheels ask for later; the yaw rate of now is the measured one.
+    fn predict(&self, pose: Pose, speed_mps: f64, yaw_rate_radps: f64) -> Pose {
+        let tracked_m = self.points.tracked_m(speed_mps);
         let rear = pose.ahead(-tracked_m);
         let (mut x_m, mut y_m, mut yaw_rad) = (rear.x, rear.y, pose.yaw_rad);
         let mut wheels_rad = self.wheels_rad;
-        let step_m = speed_mps * self.tick_s;
-        for tick in 0..self.delay_ticks + self.lag_ticks {
+        let mut turning = self.turning;
+        turning.set(yaw_rate_radps, turning.asked_radps(wheels_rad, speed_mps));
+        let ticks = self.delay_ticks + self.lag_ticks;
+        let late_s = turning.late_s(speed_mps);
+        for tick in 0..ticks + usize::from(late_s > 0.0) {
+            let held_s = if tick < ticks { self.tick_s } else { late_s };
             // The newest command was given in the last tick. When the last one on the way has arrived, it is held.
             let command_rad = self.given.given(self.delay_ticks.saturating_sub(tick + 1));
-            let turned_rad = self.actuator.turn(wheels_rad, command_rad, self.tick_s);
-            let turn_rad = step_m * libm::tan(0.5 * (wheels_rad + turned_rad)) / wheelbase_m;
+            let turned_rad = self.actuator.turn(wheels_rad, command_rad, held_s);
+            let turn_rad = turning.turn_evenly([wheels_rad, turned_rad], speed_mps, held_s);
+            let step_m = speed_mps * held_s;
             let heading_rad = yaw_rad + 0.5 * turn_rad;
             x_m += step_m * libm::cos(heading_rad);
             y_m += step_m * libm::sin(heading_rad);
@@ -163,13 +174,14 @@ mod tests {
         steering: SteeringChain,
         rear: Pose,
         rear_slip_s2pm: f64,
+        turning: Turning,
     }
 
     impl Car {
         fn tick(&mut self, command_rad: f64, speed_mps: f64) {
             let before_rad = self.steering.angle_rad();
             let after_rad = self.steering.step(command_rad);
-            let turn_rad = 0.01 * speed_mps * libm::tan(0.5 * (before_rad + after_rad)) / 2.875;
+            let turn_rad = self.turning.turn_evenly([before_rad, after_rad], speed_mps, 0.01);
             let heading_rad = self.rear.yaw_rad + 0.5 * turn_rad;
             self.rear.x_m += 0.01 * speed_mps * libm::cos(heading_rad);
             self.rear.y_m += 0.01 * speed_mps * libm::sin(heading_rad);
@@ -190,6 +202,8 @@ mod tests {
         predicts("vehicle.rear_slip_s2pm=0.0", 1e-9);
         // The point that stands for a rear axle that slips is exact but for a turn within a tick.
         predicts("vehicle.rear_slip_s2pm=0.004", 1e-5);
+        predicts("vehicle.yaw_lag_s2pm=0.005", 1e-9);
+        predicts("vehicle.understeer_s2pm=0.002", 1e-9);
     }
 
     fn predicts(slip: &str, exact_m: f64) {
@@ -205,6 +219,7 @@ mod tests {
             steering: SteeringChain::new(&config.vehicle, 0.01),
             rear: Pose::default(),
             rear_slip_s2pm: config.vehicle.rear_slip_s2pm,
+            turning: Turning::new(&config.vehicle),
         };
         let mut predicted = Vec::new();
         let mut driven = Vec::new();
@@ -212,7 +227,7 @@ mod tests {
             driven.push(car.tracked());
             // Over the dead time alone the prediction has to be exact: nothing after it has been commanded yet.
             let over_delay = Compensation { lag_ticks: 0, ..compensation.clone() };
-            predicted.push(over_delay.predict(car.tracked(), 3.5));
+            predicted.push(over_delay.predict(car.tracked(), 3.5, car.turning.yaw_rate_radps()));
             let wanted_rad = 0.3 * libm::sin(0.05 * f64::from(tick));
             let wanted = RawCommand { steering_rad: wanted_rad, ..RawCommand::default() };
             let given = compensation.give(wanted);
@@ -240,7 +255,7 @@ mod tests {
             let state = compensation.add_to(&LawState::of(&[0.5]));
             let mut successor = fresh;
             successor.resume(&state, 1);
-            let pose = |it: &Compensation| it.predict(Pose::default(), 3.0);
+            let pose = |it: &Compensation| it.predict(Pose::default(), 3.0, 0.0);
             let (wanted, found) = (pose(&compensation), pose(&successor));
             let apart_m = libm::hypot(wanted.x_m - found.x_m, wanted.y_m - found.y_m);
             assert_eq!(apart_m == 0.0, exact, "{delay}: {apart_m} m");

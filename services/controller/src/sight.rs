@@ -3,14 +3,14 @@
 use std::cell::Cell;
 
 use config::{RunConfig, Vehicle};
-use tracking::{Path, PathPoint, Pose, Reference, TrackingError, tracking_error};
+use tracking::{Path, PathPoint, Pose, Reference, TrackingError, Turning, tracking_error};
 
 /// Where the points of a car lie that laws look at.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Points {
     /// The tracked point, ahead of the rear axle.
     tracked_point_m: f64,
-    wheelbase_m: f64,
+    turning: Turning,
     rear_slip_s2pm: f64,
 }
 
@@ -19,7 +19,7 @@ impl Points {
     pub(crate) fn new(vehicle: &Vehicle) -> Self {
         Self {
             tracked_point_m: vehicle.tracked_point_m,
-            wheelbase_m: vehicle.wheelbase_m,
+            turning: Turning::new(vehicle),
             rear_slip_s2pm: vehicle.rear_slip_s2pm,
         }
     }
@@ -32,9 +32,10 @@ impl Points {
         self.tracked_point_m - self.rear_slip_s2pm * speed_mps * speed_mps
     }
 
-    /// Axle to axle.
-    pub(crate) fn wheelbase_m(&self) -> f64 {
-        self.wheelbase_m
+    /// Axle to axle; of a car that understeers, that of one that does not and drives the same circles at this speed.
+    #[inline]
+    pub(crate) fn wheelbase_m(&self, speed_mps: f64) -> f64 {
+        self.turning.wheelbase_m(speed_mps)
     }
 }
 
@@ -224,9 +225,9 @@ impl<'a> Sight<'a> {
         self.points.tracked_m(self.speed_mps)
     }
 
-    /// Axle to axle.
+    /// Axle to axle; of a car that understeers, that of one that does not and drives the same circles at this speed.
     pub fn wheelbase_m(&self) -> f64 {
-        self.points.wheelbase_m()
+        self.points.wheelbase_m(self.speed_mps)
     }
 
     pub(crate) fn near_m(&self) -> f64 {

@@ -1,9 +1,9 @@
 //! What was measured beside what the file's values and the new ones predict, for pictures.
 
 use crate::drive::{STANDING_MPS, Stretch};
-use crate::prediction::{Car, way};
+use crate::prediction::{Car, From, way};
 use crate::speed;
-use crate::steering::wheels;
+use crate::steering::{wheels, yaw_rates};
 
 /// How long each predicted piece of the way is.
 const WINDOW_S: f64 = 3.0;
@@ -47,12 +47,7 @@ pub struct Compared {
 pub(crate) fn compared(stretches: &[Stretch], before: Car<'_>, after: Car<'_>) -> Compared {
     let Some(it) = stretches.iter().max_by_key(|it| it.len()) else { return Compared::default() };
     let speeds = |car: Car<'_>| speed::run(it, car.vehicle).iter().map(|at| at.speed_mps).collect();
-    let rates = |car: Car<'_>| {
-        let wheels = wheels(it, car.vehicle);
-        let rate =
-            |(angle, speed): (&f64, &f64)| speed * libm::tan(*angle) / car.vehicle.wheelbase_m;
-        wheels.iter().zip(&it.smooth_mps).map(rate).collect()
-    };
+    let rates = |car: Car<'_>| yaw_rates(it, car.vehicle, 1.0);
     let (ways_before, ways_after) = (windows(it, before), windows(it, after));
     let pairs = ways_before.into_iter().zip(ways_after);
     Compared {
@@ -75,6 +70,7 @@ pub(crate) fn compared(stretches: &[Stretch], before: Car<'_>, after: Car<'_>) -
 /// The predicted pieces of the way, where the car moves.
 fn windows(stretch: &Stretch, car: Car<'_>) -> Vec<Vec<[f64; 2]>> {
     let angles = wheels(stretch, car.vehicle);
+    let rates = yaw_rates(stretch, car.vehicle, 1.0);
     let loops = speed::run(stretch, car.vehicle);
     let mut windows = Vec::new();
     let mut next_s = stretch.time_s[0];
@@ -86,7 +82,8 @@ fn windows(stretch: &Stretch, car: Car<'_>) -> Vec<Vec<[f64; 2]>> {
         }
         next_s = now_s + WINDOW_S;
         let mut points = Vec::new();
-        way(stretch, car, &angles, *state, index..end, |x, y| points.push([x, y]));
+        let from = From { state: *state, yaw_rate_radps: rates[index] };
+        way(stretch, car, &angles, from, index..end, |x, y| points.push([x, y]));
         windows.push(points);
     }
     windows

@@ -108,13 +108,15 @@ fn best_start(
 }
 
 /// Holds one parameter after the other that the drive does not tell at the file's value, where the drive agrees with it: the
-/// least told first, because another one may be told once it is held. `open_sided` is never told roughly.
+/// least told first, because another one may be told once it is held. `open_sided` is never told roughly; `extras` are held
+/// unless the file's value is outside of their interval: slow cars do not show them.
 fn hold_what_is_not_told<M: Held>(
     model: &mut M,
     mut at: Vec<f64>,
     mut weights: Weights,
     limits: &dyn Fn(usize, &[f64]) -> Limit,
     open_sided: Option<usize>,
+    extras: &[usize],
 ) -> Option<Fitted> {
     let all = |_: usize| true;
     let told = |axis: &Axis| if axis.free { Told::Identified } else { Told::Held };
@@ -142,7 +144,7 @@ fn hold_what_is_not_told<M: Held>(
         let held = descend(model, &weights, &held, 12);
         let worse = cost(model, &weights, &held) - before;
         told[worst] = Told::TooWide { half };
-        if worse <= AGREES {
+        if worse <= if extras.contains(&worst) { Z95 * Z95 } else { AGREES } {
             (at, weights) = settle(model, weights, &held, 1, &all);
             continue;
         }
@@ -175,7 +177,7 @@ pub(crate) fn fit_speed(
     }
     let (start, weights) = best_start(&model, starts, 6)?;
     let (at, weights) = settle(&model, weights, &start, 4, &|_| true);
-    hold_what_is_not_told(&mut model, at, weights, limits, None)
+    hold_what_is_not_told(&mut model, at, weights, limits, None, &[])
 }
 
 /// Fits steering, wheelbase and the odometry's point.
@@ -203,7 +205,8 @@ pub(crate) fn fit_steering(
     let weights = even(&joint);
     let (at, weights) = settle(&joint, weights, &start, 4, &|_| true);
     // Wheels that never turned as fast as they can tell a least rate, and no greatest one.
-    hold_what_is_not_told(&mut joint, at, weights, limits, Some(steering::RATE))
+    let extras = [steering::YAW_LAG, steering::UNDERSTEER];
+    hold_what_is_not_told(&mut joint, at, weights, limits, Some(steering::RATE), &extras)
 }
 
 /// The fit of some blocks alone, with the same parameters held.

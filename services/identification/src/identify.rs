@@ -310,6 +310,8 @@ fn apply(vehicle: &Vehicle, rows: &[Row], options: Options) -> Vehicle {
             "steering_offset_rad" => &mut new.steering_offset_rad,
             "steering_gain" => &mut new.steering_gain,
             "rear_slip_s2pm" => &mut new.rear_slip_s2pm,
+            "yaw_lag_s2pm" => &mut new.yaw_lag_s2pm,
+            "understeer_s2pm" => &mut new.understeer_s2pm,
             "speed_delay_s" => &mut new.speed_delay_s,
             "speed_kp" => &mut new.speed_kp,
             "speed_ki" => &mut new.speed_ki,

@@ -2,10 +2,11 @@
 
 use config::Vehicle;
 use serde::Serialize;
+use tracking::Turning;
 
 use crate::drive::{STANDING_MPS, Stretch, walk};
 use crate::speed;
-use crate::steering::{block_of, blocks_of, wheels};
+use crate::steering::{block_of, blocks_of, wheels, yaw_rates};
 
 /// A drive is fitted this many times without a part of it, so that each part is predicted once by a fit that has not seen
 /// it.
@@ -124,6 +125,7 @@ fn errors(stretches: &[Stretch], car: Car<'_>, over_s: f64, fold: usize) -> Vec<
     let mut first_block = 0;
     for stretch in stretches {
         let angles = wheels(stretch, car.vehicle);
+        let rates = yaw_rates(stretch, car.vehicle, 1.0);
         let loops = speed::run(stretch, car.vehicle);
         let mut last_start_s = f64::NEG_INFINITY;
         for (index, state) in loops.iter().enumerate() {
@@ -138,7 +140,8 @@ fn errors(stretches: &[Stretch], car: Car<'_>, over_s: f64, fold: usize) -> Vec<
                 continue;
             }
             last_start_s = now_s;
-            let (x_m, y_m) = way(stretch, car, &angles, *state, index..end, |_, _| {});
+            let from = From { state: *state, yaw_rate_radps: rates[index] };
+            let (x_m, y_m) = way(stretch, car, &angles, from, index..end, |_, _| {});
             let [at_x, at_y] = place(stretch, end);
             errors.push((first_block + block, libm::hypot(x_m - at_x, y_m - at_y)));
         }
@@ -169,13 +172,20 @@ fn place(stretch: &Stretch, index: usize) -> [f64; 2] {
     [mean(&mut xs), mean(&mut ys)]
 }
 
+/// What a prediction begins with, beside the measured pose.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct From {
+    pub(crate) state: speed::SpeedLoop,
+    pub(crate) yaw_rate_radps: f64,
+}
+
 /// Where the odometry's point will be at the end of a range, from the commands alone; each place on the way there is passed
 /// to `each`.
 pub(crate) fn way(
     stretch: &Stretch,
     car: Car<'_>,
     angles: &[f64],
-    mut state: speed::SpeedLoop,
+    From { mut state, yaw_rate_radps }: From,
     range: std::ops::Range<usize>,
     mut each: impl FnMut(f64, f64),
 ) -> (f64, f64) {
@@ -187,6 +197,8 @@ pub(crate) fn way(
     let (sin, cos) = libm::sincos(yaw_rad);
     let (mut rear_x, mut rear_y) = (x_m - car.point_m * cos, y_m - car.point_m * sin);
     state.speed_mps = stretch.smooth_mps[start];
+    let mut turning = Turning::new(car.vehicle);
+    turning.set(yaw_rate_radps, turning.asked_radps(angles[start], state.speed_mps));
     let cut = Stretch {
         time_s: stretch.time_s[start..=range.end].to_vec(),
         commands: stretch.commands.clone(),
@@ -201,9 +213,9 @@ pub(crate) fn way(
     walk(&cut, car.vehicle.speed_delay_s, None, STEP_S, |index, command, held_s| {
         let before_mps = state.speed_mps;
         state.step(car.vehicle, command.speed_mps, true, held_s);
-        let angle = 0.5 * (angles[start + index - 1] + angles[start + index]);
+        let wheels = [angles[start + index - 1], angles[start + index]];
         let speed_mps = 0.5 * (before_mps + state.speed_mps);
-        let turned = speed_mps * libm::tan(angle) / car.vehicle.wheelbase_m * held_s;
+        let turned = turning.turn_evenly(wheels, speed_mps, held_s);
         let (sin, cos) = libm::sincos(yaw_rad + 0.5 * turned);
         rear_x += speed_mps * held_s * cos;
         rear_y += speed_mps * held_s * sin;

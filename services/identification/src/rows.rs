@@ -50,7 +50,9 @@ impl Row {
                 "large steering steps, at which the wheels turn as fast as they can"
             }
             "tracked_point_m" | "ros2.odometry_point_m" => "tight bends to both sides",
-            "rear_slip_s2pm" => "bends to both sides, slowly and as fast as it is to drive",
+            "rear_slip_s2pm" | "yaw_lag_s2pm" | "understeer_s2pm" => {
+                "bends to both sides, slowly and as fast as it is to drive"
+            }
             "speed_delay_s" | "speed_kp" | "speed_ki" | "pedal_lag_s" | "drag_per_s"
             | "rolling_decel_mps2" => SPEED_STEPS,
             "throttle_accel_mps2" => "a step of the commanded speed that needs full throttle",
@@ -71,6 +73,8 @@ pub(crate) fn limits_of_steering(vehicle: &Vehicle) -> impl Fn(usize, &[f64]) ->
         steering::RATE => 0.25,
         steering::OFFSET => 0.01,
         steering::POINT => 0.2 * size,
+        // Tyres do something only where the drive says so for certain.
+        steering::YAW_LAG | steering::UNDERSTEER => at[index].clamp(1e-6, MOST_TYRES_S2PM),
         _ => f64::INFINITY,
     }
 }
@@ -181,24 +185,48 @@ pub(crate) fn steering_rows(
     };
     let mut delay = row(fitted, &delay);
     not_negative(&mut delay);
-    vec![
+    let mut rows = vec![
         wheelbase,
         delay,
         key("steering_lag_s", vehicle.steering_lag_s, &[steering::LAG], true),
         key("steering_rate_radps", vehicle.steering_rate_radps, &[steering::RATE], true),
         key("steering_offset_rad", vehicle.steering_offset_rad, &[steering::OFFSET], false),
         key(point, point_m, &[steering::POINT], false),
-    ]
+    ];
+    rows.extend(tyre_rows(fitted, vehicle));
+    rows
 }
 
-/// Half the width of the slip's interval from which on a drive tells nothing of it.
-const MOST_SLIP_S2PM: f64 = 0.003;
+/// Half the width of the interval of what tyres do at speed from which on a drive tells nothing of it.
+const MOST_TYRES_S2PM: f64 = 0.003;
+
+/// The rows of how tyres let the car turn; none for a model that has no such keys.
+fn tyre_rows(fitted: &Fitted, vehicle: &Vehicle) -> Vec<Row> {
+    let keys = [
+        ("yaw_lag_s2pm", vehicle.yaw_lag_s2pm, steering::YAW_LAG),
+        ("understeer_s2pm", vehicle.understeer_s2pm, steering::UNDERSTEER),
+    ];
+    let keys = keys.into_iter().filter(|(_, _, index)| fitted.told[*index] != Told::Held);
+    let row = |(name, before, index)| {
+        let mut row = row(fitted, &Key { name, before, of: &[index], is_log: false });
+        not_negative(&mut row);
+        if let Told::TooWide { half } = fitted.told[index] {
+            row.agrees = half <= MOST_TYRES_S2PM;
+            row.why = Some(match row.agrees {
+                true => format!("the drive agrees with the file's value, to ± {half:.4}"),
+                false => format!("known to ± {half:.4} only"),
+            });
+        }
+        row
+    };
+    keys.map(row).collect()
+}
 
 /// The row of the rear axle's slip. The file's value stands unless the drive speaks against it: slip and the odometry's point
 /// are hard to tell apart, and a little of one that is not there is paid for by the other.
 pub(crate) fn slip_row(slip: Option<Slip>, vehicle: &Vehicle) -> Row {
     let before = vehicle.rear_slip_s2pm;
-    let known = slip.filter(|it| it.half_s2pm <= MOST_SLIP_S2PM);
+    let known = slip.filter(|it| it.half_s2pm <= MOST_TYRES_S2PM);
     let half = known.or(slip).map_or(f64::INFINITY, |it| it.half_s2pm);
     let told = known.filter(|it| it.at_s2pm > 0.0 && (it.at_s2pm - before).abs() > it.half_s2pm);
     Row {

@@ -3,14 +3,14 @@
 //! The steering chain runs through the whole stretch on the commands alone. With the measured speed v (its noise taken
 //! out, and multiplied by a scale s) it gives
 //!
-//! - the yaw rate r = s·v·tan(δ)/L + b, where b is the bias of the gyro;
-//! - the pose in windows of 3 s: v and r − b integrated, with a rear axle that slips as [`crate::slip`] has found, seen at
-//!   the odometry's point p ahead of it. Each window
-//!   is laid over the measured one, headings and positions, by the rigid motion that fits best (in closed form), so that
+//! - the yaw rate r + b, where r comes to s·v·tan(δ)/(L + K·v²), the later the faster the car is ([`tracking::Turning`]), and
+//!   b is the bias of the gyro;
+//! - the pose in windows of 3 s: v and r integrated, with a rear axle that slips as [`crate::slip`] has found, seen at the
+//!   odometry's point p ahead of it. Each window is laid over the measured one, headings and positions, by the rigid motion that fits best (in closed form), so that
 //!   neither the start of the window nor drift counts.
 
-use config::Vehicle;
-use tracking::SteeringActuator;
+use config::{Vehicle, VehicleModel};
+use tracking::{SteeringActuator, Turning};
 
 use crate::drive::{STANDING_MPS, Stretch, walk};
 use crate::levenberg::{Axis, Model, Place};
@@ -26,7 +26,13 @@ pub(crate) const SCALE: usize = 7;
 pub(crate) const BIAS: usize = 8;
 /// Between the heading of the odometry and the direction of its axes, as of a sensor that is not mounted straight.
 pub(crate) const MOUNTED: usize = 9;
-const COUNT: usize = 10;
+/// Lag of the yaw rate for each m/s. At one speed it is the same as a longer lag of the steering.
+pub(crate) const YAW_LAG: usize = 10;
+/// Gradient of understeer. At one speed it is the same as a longer wheelbase.
+pub(crate) const UNDERSTEER: usize = 11;
+const COUNT: usize = 12;
+/// No car has more of either.
+const MOST_S2PM: f64 = 0.05;
 
 /// Channels of residuals.
 const YAW_RATE: usize = 0;
@@ -53,6 +59,8 @@ pub(crate) fn of_vehicle(vehicle: &Vehicle, point_m: f64) -> [f64; COUNT] {
     at[OFFSET] = vehicle.steering_offset_rad;
     at[GAIN] = libm::log(vehicle.steering_gain);
     at[POINT] = point_m;
+    at[YAW_LAG] = vehicle.yaw_lag_s2pm;
+    at[UNDERSTEER] = vehicle.understeer_s2pm;
     at
 }
 
@@ -65,6 +73,8 @@ pub(crate) fn to_vehicle(at: &[f64], vehicle: &Vehicle) -> Vehicle {
     new.steering_rate_radps = libm::exp(at[RATE]);
     new.steering_offset_rad = at[OFFSET];
     new.steering_gain = libm::exp(at[GAIN]);
+    new.yaw_lag_s2pm = at[YAW_LAG];
+    new.understeer_s2pm = at[UNDERSTEER];
     new
 }
 
@@ -79,6 +89,25 @@ pub(crate) fn wheels(stretch: &Stretch, vehicle: &Vehicle) -> Vec<f64> {
         angles[index] = angle_rad;
     });
     angles
+}
+
+/// The yaw rate at each sample that a vehicle has behind its wheels, with the measured speed times `scale`.
+pub(crate) fn yaw_rates(stretch: &Stretch, vehicle: &Vehicle, scale: f64) -> Vec<f64> {
+    let mut turning = Turning::new(vehicle);
+    let ask = |(angle, speed): (&f64, &f64)| turning.asked_radps(*angle, scale * speed);
+    let angles = wheels(stretch, vehicle);
+    let mut rates: Vec<f64> = angles.iter().zip(&stretch.smooth_mps).map(ask).collect();
+    if vehicle.yaw_lag_s2pm == 0.0 {
+        return rates;
+    }
+    turning.set(rates[0], rates[0]);
+    for index in 1..rates.len() {
+        let held_s = stretch.time_s[index] - stretch.time_s[index - 1];
+        let speed_mps = 0.5 * (stretch.smooth_mps[index - 1] + stretch.smooth_mps[index]);
+        turning.turn_to(rates[index], scale * speed_mps, held_s);
+        rates[index] = turning.yaw_rate_radps();
+    }
+    rates
 }
 
 /// What is fitted.
@@ -116,6 +145,8 @@ impl<'a> Steering<'a> {
             free,
         };
         let log = libm::log;
+        // The dynamic model's tyres slip by themselves.
+        let slips = vehicle.model == VehicleModel::Kinematic;
         let axes = vec![
             axis(WHEELBASE, prior[0] - 2.0, prior[0] + 2.0, 0.7, 1e-5, !wheelbase_is_measured),
             axis(DELAY, 0.0, 0.95, 0.3, 1e-4, true),
@@ -127,6 +158,8 @@ impl<'a> Steering<'a> {
             axis(SCALE, -0.3, 0.3, 0.1, 1e-6, with_poses),
             axis(BIAS, -0.2, 0.2, 0.02, 1e-6, with_poses),
             axis(MOUNTED, -0.5, 0.5, 0.1, 1e-6, with_poses),
+            axis(YAW_LAG, 0.0, MOST_S2PM, 0.02, 1e-6, with_poses && slips),
+            axis(UNDERSTEER, 0.0, MOST_S2PM, 0.02, 1e-6, with_poses && slips),
         ];
         let has_yaw_rate =
             stretches.iter().all(|it| it.yaw_rate_radps.iter().all(|rate| rate.is_finite()));
@@ -242,11 +275,7 @@ impl Model for Steering<'_> {
         let mut first = 0;
         for stretch in self.stretches {
             let len = stretch.len();
-            let angles = wheels(stretch, &vehicle);
-            let turn = |(angle, speed): (&f64, &f64)| {
-                scale * speed * libm::tan(*angle) / vehicle.wheelbase_m
-            };
-            let rates: Vec<f64> = angles.iter().zip(&stretch.smooth_mps).map(turn).collect();
+            let rates = yaw_rates(stretch, &vehicle, scale);
             if self.uses_yaw_rate() {
                 for index in 0..len {
                     out[first + index] = if !is_moving(stretch, index) {
@@ -264,7 +293,7 @@ impl Model for Steering<'_> {
                 let (x, y) = rest.split_at_mut(len);
                 let weights = &weights[first..first + 3 * len];
                 let (point_m, mounted_rad) = (at[POINT], at[MOUNTED]);
-                let slip_s2pm = self.vehicle.rear_slip_s2pm;
+                let slip_s2pm = vehicle.rear_slip_s2pm;
                 let track =
                     Track { stretch, rates: &rates, scale, point_m, slip_s2pm, mounted_rad };
                 for window in windows(stretch) {

@@ -161,14 +161,30 @@ fn rear_tyres_that_slip_are_found_by_fast_bends_and_others_are_left_alone() {
     let at = |base_mps: f64, car: &Vehicle, dice: &mut Dice| {
         drive(car, EXCITATION_S, &SENSORS, dice, |time_s| excitation(time_s, 0.2, base_mps, 0.0))
     };
-    let slip = |found: &identification::Identification| {
-        found.rows.iter().find(|row| row.key == "rear_slip_s2pm").unwrap().clone()
+    let of = |found: &identification::Identification, key: &str| {
+        found.rows.iter().find(|row| row.key == key).unwrap().clone()
     };
+    let slip = |found: &identification::Identification| of(found, "rear_slip_s2pm");
     let found = identify(&[at(3.2, &car, &mut dice)], &file, Options::default()).unwrap();
+    for row in &found.rows {
+        eprintln!("{} {} {:?} {:?}", row.key, row.after, row.interval, row.why);
+    }
+    eprintln!("{car:?}");
     let row = slip(&found);
     let [low, high] = row.interval.unwrap();
     assert!(low < slip_s2pm && slip_s2pm < high && high - low < 0.003, "{row:?} {slip_s2pm}");
     assert_eq!(found.vehicle.rear_slip_s2pm.to_bits(), row.after.to_bits());
+    // Its front tyres slip more, and its body has to be turned.
+    let understeer_s2pm = car.mass_kg * 0.5 / car.cornering_stiffness_front_npr - slip_s2pm;
+    let tyres_nm2 = car.cornering_stiffness_front_npr + car.cornering_stiffness_rear_npr;
+    let lag_s2pm = car.yaw_inertia_kgm2 / (car.front_axle_to_cg_m.powi(2) * tyres_nm2);
+    eprintln!(
+        "{:?} {understeer_s2pm}\n{:?} {lag_s2pm} wheelbase {}",
+        of(&found, "understeer_s2pm"),
+        of(&found, "yaw_lag_s2pm"),
+        car.wheelbase_m
+    );
+    eprintln!("{:?}", found.rows);
     assert!((found.vehicle.tracked_point_m - car.tracked_point_m).abs() < 0.05);
     // Half of that speed tells it of tyres that slip as much as a family car's, as the last bend is long.
     let soft_npr = car.mass_kg * 0.5 / 0.004;

@@ -5,18 +5,17 @@
 //! inertia, and turns into the kinematic one as the speed goes to 0.
 
 use config::{Vehicle, VehicleModel};
-use tracking::Pose;
+use tracking::{Pose, Turning};
 
 /// A lateral model with its state.
 #[derive(Debug, Clone)]
 pub(crate) enum Lateral {
-    /// No tyre slips: r = v·tan(δ)/L. Without state.
+    /// No tyre slips, but for what the vehicle's file says of it.
     Kinematic {
-        /// Axle to axle.
-        wheelbase_m: f64,
-        /// Slip angle of the rear axle per lateral acceleration, rad/(m/s²). Its side force is in balance at once: a lag
-        /// of some hundredths of a second, that of the tyres' slip, is left out.
+        /// Slip angle of the rear axle per lateral acceleration, rad/(m/s²).
         rear_slip_s2pm: f64,
+        /// How it turns.
+        turning: Turning,
     },
     /// Linear tyres. Boxed, because it is four times as large.
     Dynamic(Box<DynamicSingleTrack>),
@@ -27,8 +26,8 @@ impl Lateral {
     pub(crate) fn new(vehicle: &Vehicle) -> Self {
         match vehicle.model {
             VehicleModel::Kinematic => Self::Kinematic {
-                wheelbase_m: vehicle.wheelbase_m,
                 rear_slip_s2pm: vehicle.rear_slip_s2pm,
+                turning: Turning::new(vehicle),
             },
             VehicleModel::Dynamic => Self::Dynamic(Box::new(DynamicSingleTrack::new(vehicle))),
         }
@@ -36,8 +35,9 @@ impl Lateral {
 
     /// Returns to rest.
     pub(crate) fn reset(&mut self) {
-        if let Self::Dynamic(track) = self {
-            (track.lateral_mps, track.yaw_rate_radps) = (0.0, 0.0);
+        match self {
+            Self::Dynamic(track) => (track.lateral_mps, track.yaw_rate_radps) = (0.0, 0.0),
+            Self::Kinematic { turning, .. } => turning.set(0.0, 0.0),
         }
     }
 
@@ -50,9 +50,8 @@ impl Lateral {
         tick_s: f64,
     ) -> f64 {
         match self {
-            Self::Kinematic { wheelbase_m, rear_slip_s2pm } => {
-                let yaw_rate_radps = speed_mps * libm::tan(steering_rad) / *wheelbase_m;
-                let turned_rad = yaw_rate_radps * tick_s;
+            Self::Kinematic { rear_slip_s2pm, turning } => {
+                let turned_rad = turning.turn(steering_rad, speed_mps, tick_s);
                 // The heading in the middle of the tick: exact to second order.
                 let middle_rad = rear_axle.yaw_rad + turned_rad / 2.0;
                 rear_axle.x_m += speed_mps * tick_s * libm::cos(middle_rad);
@@ -64,7 +63,7 @@ impl Lateral {
                     rear_axle.y_m -= out_m * libm::cos(middle_rad);
                 }
                 rear_axle.yaw_rad += turned_rad;
-                yaw_rate_radps
+                turning.yaw_rate_radps()
             }
             Self::Dynamic(track) => {
                 track.step(speed_mps, steering_rad, tick_s);

@@ -18,6 +18,7 @@ mod path;
 mod record;
 mod reference;
 mod steering;
+mod turning;
 mod zones;
 
 pub use excitation::{EXCITATION_S, excitation};
@@ -27,6 +28,7 @@ pub use path::{Path, PathFollower, PathPoint};
 pub use record::{Covered, DriveRecord, DriveRecorder, EndReason, TickMeasures, state_distance};
 pub use reference::{FASTEST_CLOCK, Reference};
 pub use steering::{DelayLine, Part, SteeringActuator, SteeringChain, parts_of_tick};
+pub use turning::Turning;
 pub use zones::ZoneTracker;
 
 use nalgebra::{Rotation2, Vector2};

@@ -91,7 +91,7 @@ impl GainTable {
 /// and the cost Σ q_y·y² + q_ψ·ψ² + δ̃² + r·(u/T)². Returns K of u = −K·x.
 fn regulator(weights: Weights, speed_mps: f64, car: Car) -> Gains {
     let Car { points, tick_s } = car;
-    let (wheelbase_m, tracked_m) = (points.wheelbase_m(), points.tracked_m(speed_mps));
+    let (wheelbase_m, tracked_m) = (points.wheelbase_m(speed_mps), points.tracked_m(speed_mps));
     /// Each step doubles the horizon: 2³⁰ ticks are for ever.
     const DOUBLINGS: usize = 30;
     const CLOSE: f64 = 1e-15;

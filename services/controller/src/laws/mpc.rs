@@ -16,7 +16,6 @@ use crate::quadratic::{Limits, N, Plan, Square, least};
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Mpc {
     tick_s: f64,
-    wheelbase_m: f64,
     steering_limit_rad: f64,
     steering_rate_radps: f64,
     /// Whether errors are measured at the nearest point of the path instead of against the moving reference.
@@ -37,6 +36,8 @@ struct Weights {
 #[derive(Debug, Clone, Copy)]
 struct Start {
     speed_mps: f64,
+    /// See [`Sight::wheelbase_m`].
+    wheelbase_m: f64,
     /// The tracked point, ahead of the one that moves where the car points.
     tracked_m: f64,
     /// Of the tracked point, to the left of the path.
@@ -69,13 +70,13 @@ impl Mpc {
         for k in 0..N {
             let turn_rad = turns_rad[k];
             let curvature = if step_m == 0.0 { 0.0 } else { turn_rad / step_m };
-            let wanted_rad = libm::atan(self.wheelbase_m * curvature).clamp(-limit_rad, limit_rad);
+            let wanted_rad = libm::atan(start.wheelbase_m * curvature).clamp(-limit_rad, limit_rad);
             // On a circle the car points out of it, so that its tracked point stays on it.
             let out_rad = libm::asin((start.tracked_m * curvature).clamp(-1.0, 1.0));
             // The car's turn is `turned + slope · (mean angle of the step)`.
             let tan = libm::tan(wanted_rad);
-            let slope = step_m / self.wheelbase_m * (1.0 + tan * tan);
-            let turned = step_m / self.wheelbase_m * tan - slope * wanted_rad;
+            let slope = step_m / start.wheelbase_m * (1.0 + tan * tan);
+            let turned = step_m / start.wheelbase_m * tan - slope * wanted_rad;
             let mut by = [0.0; N];
             by[k] = 0.5 * slope;
             let mut turned = turned;
@@ -126,7 +127,6 @@ impl Law for Mpc {
         let vehicle = &config.vehicle;
         Self {
             tick_s: config.drive.tick_s,
-            wheelbase_m: vehicle.wheelbase_m,
             steering_limit_rad: config.controller.steering_limit_rad,
             steering_rate_radps: vehicle
                 .steering_rate_radps
@@ -170,6 +170,7 @@ impl Law for Mpc {
         let last_rad = self.steering.angle_rad();
         let start = Start {
             speed_mps: sight.speed_mps,
+            wheelbase_m: sight.wheelbase_m(),
             tracked_m: sight.tracked_m(),
             // The path lies where the error says, seen from the car.
             offset_m: -error.cross_track_m * libm::cos(error.heading_rad)
@@ -222,6 +223,7 @@ mod tests {
         check(
             Start {
                 speed_mps: 2.0,
+                wheelbase_m: 2.875,
                 tracked_m: 0.7,
                 offset_m: 0.3,
                 heading_rad: -0.1,
@@ -239,6 +241,7 @@ mod tests {
         check(
             Start {
                 speed_mps: 3.0,
+                wheelbase_m: 2.875,
                 tracked_m: 0.7,
                 offset_m: 5.0,
                 heading_rad: 0.5,
@@ -256,6 +259,7 @@ mod tests {
         let steering_rad = libm::atan(2.875 * curvature);
         let start = Start {
             speed_mps: 2.0,
+            wheelbase_m: 2.875,
             tracked_m: 0.7,
             offset_m: 0.0,
             heading_rad: -libm::asin(0.7 * curvature),
@@ -272,6 +276,7 @@ mod tests {
         let mpc = Mpc::new(&config(&[]));
         let start = Start {
             speed_mps: 3.0,
+            wheelbase_m: 2.875,
             tracked_m: 0.7,
             offset_m: 5.0,
             heading_rad: 0.5,
@@ -300,6 +305,7 @@ mod tests {
         law.restart(0.2);
         let start = Start {
             speed_mps: 2.0,
+            wheelbase_m: 2.875,
             tracked_m: 0.7,
             offset_m: 0.5,
             heading_rad: 0.1,

@@ -13,7 +13,7 @@
 use std::sync::Arc;
 
 use config::{ENVELOPE_CHANNELS, RunConfig};
-use tracking::{Path, Pose, SteeringChain, wrap_angle};
+use tracking::{Path, Pose, SteeringChain, Turning, wrap_angle};
 
 use crate::Movement;
 
@@ -42,6 +42,7 @@ pub struct Look {
 pub struct Evidence {
     kind: Arc<Kind>,
     steering: SteeringChain,
+    turning: Turning,
     steering_rad: f64,
     tick: Option<u64>,
     rolls: bool,
@@ -62,7 +63,6 @@ pub struct Evidence {
 struct Kind {
     path: Path,
     tick_s: f64,
-    wheelbase_m: f64,
     tracked_point_m: f64,
     rear_slip_s2pm: f64,
     rolls_mps: f64,
@@ -130,12 +130,12 @@ impl Evidence {
             kind: Arc::new(Kind {
                 path: Path::new(&config.path),
                 tick_s: config.drive.tick_s,
-                wheelbase_m: vehicle.wheelbase_m,
                 tracked_point_m: vehicle.tracked_point_m,
                 rear_slip_s2pm: vehicle.rear_slip_s2pm,
                 rolls_mps: vehicle.safety.standstill_mps,
             }),
             steering: SteeringChain::new(vehicle, config.drive.tick_s),
+            turning: Turning::new(vehicle),
             steering_rad: 0.0,
             tick: None,
             rolls: false,
@@ -201,7 +201,7 @@ impl Evidence {
         for _ in 0..ticks {
             let wheels_rad = self.steering.step(steering_rad);
             let moved_m = speed_mps * self.kind.tick_s;
-            let turned_rad = moved_m * libm::tan(wheels_rad) / self.kind.wheelbase_m;
+            let turned_rad = self.turning.turn(wheels_rad, speed_mps, self.kind.tick_s);
             // Within a block the yaw is a small angle: these are its cosine and sine to 1e-5.
             let middle_rad = yaw_rad + turned_rad / 2.0;
             let square = middle_rad * middle_rad;
