@@ -80,17 +80,16 @@ impl Compensation {
     ///
     /// `reference` is room for a copy of the reference.
     pub(crate) fn look_ahead<'a>(&self, sight: &Sight, reference: &'a mut Reference) -> Sight<'a> {
-        let late_ticks = self.turning.late_s(sight.speed_mps) / self.tick_s;
-        sight.ahead(
-            reference,
-            (self.delay_ticks + self.lag_ticks) as f64 + late_ticks,
-            self.predict(sight.pose, sight.speed_mps, sight.yaw_rate_radps),
-        )
+        // The yaw rate comes as much later than the wheels.
+        let late_s = self.turning.late_s(sight.speed_mps);
+        let ticks = (self.delay_ticks + self.lag_ticks) as f64 + late_s / self.tick_s;
+        let pose = self.predict(sight.pose, sight.speed_mps, sight.yaw_rate_radps, late_s);
+        sight.ahead(reference, ticks, pose)
     }
 
-    /// The pose of the tracked point after the dead time and the lag, and that of the yaw rate. A car that turns late turns as
-    /// it does now, and comes to what its wheels ask for later; the yaw rate of now is the measured one.
-    fn predict(&self, pose: Pose, speed_mps: f64, yaw_rate_radps: f64) -> Pose {
+    /// The pose of the tracked point after the dead time, the lag, and `late_s` more. A car that turns late turns as it does
+    /// now, and comes to what its wheels ask for later; the yaw rate of now is the measured one.
+    fn predict(&self, pose: Pose, speed_mps: f64, yaw_rate_radps: f64, late_s: f64) -> Pose {
         let tracked_m = self.points.tracked_m(speed_mps);
         let rear = pose.ahead(-tracked_m);
         let (mut x_m, mut y_m, mut yaw_rad) = (rear.x, rear.y, pose.yaw_rad);
@@ -98,7 +97,6 @@ impl Compensation {
         let mut turning = self.turning;
         turning.set(yaw_rate_radps, turning.asked_radps(wheels_rad, speed_mps));
         let ticks = self.delay_ticks + self.lag_ticks;
-        let late_s = turning.late_s(speed_mps);
         for tick in 0..ticks + usize::from(late_s > 0.0) {
             let held_s = if tick < ticks { self.tick_s } else { late_s };
             // The newest command was given in the last tick. When the last one on the way has arrived, it is held.
@@ -221,13 +219,19 @@ mod tests {
             rear_slip_s2pm: config.vehicle.rear_slip_s2pm,
             turning: Turning::new(&config.vehicle),
         };
+        car.turning.set(0.0, car.turning.asked_radps(car.steering.angle_rad(), 3.5));
         let mut predicted = Vec::new();
         let mut driven = Vec::new();
         for tick in 0..400 {
             driven.push(car.tracked());
             // Over the dead time alone the prediction has to be exact: nothing after it has been commanded yet.
             let over_delay = Compensation { lag_ticks: 0, ..compensation.clone() };
-            predicted.push(over_delay.predict(car.tracked(), 3.5, car.turning.yaw_rate_radps()));
+            predicted.push(over_delay.predict(
+                car.tracked(),
+                3.5,
+                car.turning.yaw_rate_radps(),
+                0.0,
+            ));
             let wanted_rad = 0.3 * libm::sin(0.05 * f64::from(tick));
             let wanted = RawCommand { steering_rad: wanted_rad, ..RawCommand::default() };
             let given = compensation.give(wanted);
@@ -255,7 +259,7 @@ mod tests {
             let state = compensation.add_to(&LawState::of(&[0.5]));
             let mut successor = fresh;
             successor.resume(&state, 1);
-            let pose = |it: &Compensation| it.predict(Pose::default(), 3.0, 0.0);
+            let pose = |it: &Compensation| it.predict(Pose::default(), 3.0, 0.0, 0.0);
             let (wanted, found) = (pose(&compensation), pose(&successor));
             let apart_m = libm::hypot(wanted.x_m - found.x_m, wanted.y_m - found.y_m);
             assert_eq!(apart_m == 0.0, exact, "{delay}: {apart_m} m");
