@@ -84,6 +84,21 @@ fn that_many_ticks_more_are_stable_and_one_more_is_not() {
     }
 }
 
+#[test]
+fn a_yaw_rate_that_comes_late_is_taken_from_what_the_steering_may_be_late() {
+    let plain = config("lane_change");
+    let mut late = plain.clone();
+    late.vehicle.yaw_lag_s2pm = 0.005;
+    let mut under = plain.clone();
+    under.vehicle.understeer_s2pm = 0.01;
+    let set = plain.grid().set(plain.grid().positions().nth(300).unwrap());
+    let margin_s = |config| certificate::additional_dead_time_s(config, &set, 3.0).unwrap();
+    assert!(margin_s(&plain) > 0.05);
+    assert!((margin_s(&plain) - margin_s(&late) - 0.015).abs() < 1e-12);
+    // A car that turns less is steadier.
+    assert!(margin_s(&under) > margin_s(&plain) + 1e-4);
+}
+
 /// How many sets of a manoeuvre's grid are unstable, and how many fragile.
 fn count(maneuver: &str, speed_mps: f64, car: &Car) -> (usize, usize) {
     let config = config(maneuver);
