@@ -6,6 +6,7 @@ use orchestrator::House;
 
 mod calibrate;
 mod certify;
+mod cut_off;
 mod identify;
 mod path_bag;
 mod services;

@@ -5,12 +5,14 @@
 use std::collections::BTreeMap;
 use std::path::Path as File;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use byteorder::{BigEndian, LittleEndian};
 use config::RecordedPath;
 use ros2_vehicle::messages::{Header, Odometry, Pose};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+
+use crate::cut_off::blame;
 
 /// Of a driven way, a point is kept once the car is this far from the last one.
 const APART_M: f64 = 0.02;
@@ -68,7 +70,9 @@ fn read_bag(file: &File, wanted: Option<&str>) -> Result<RecordedPath> {
         ([], []) => {
             let all = names(&|_| true).into_iter().take(30).collect::<Vec<_>>().join(", ");
             let of = wanted.map(|topic| format!(" on {topic}")).unwrap_or_default();
-            bail!("has no nav_msgs/Path and no nav_msgs/Odometry{of}; its topics are {all}")
+            let why =
+                anyhow!("has no nav_msgs/Path and no nav_msgs/Odometry{of}; its topics are {all}");
+            return blame(Err(why), cut_off.as_deref());
         }
         (several @ [_, _, ..], _) | ([], several) => bail!(
             "has several paths, on {}; name one with --path-topic",

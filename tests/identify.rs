@@ -268,6 +268,12 @@ fn a_recording_of_ours_is_read_as_such_and_as_the_bag_that_it_also_is() {
     let wrong = ["identify", "out/recording.mcap", "--vehicle", "car.toml", "--odometry", "/odo"];
     let said = stderr(&sandbox.run(&wrong));
     assert!(said.contains("has no odometry on /odo") && said.contains("/odom"), "{said}");
+    // Whatever is missing in what is left of a recording, the line names the reason.
+    let whole = fs::read(sandbox.path("out/recording.mcap")).unwrap();
+    fs::write(sandbox.path("cut.mcap"), &whole[..whole.len() / 8]).unwrap();
+    refused(&sandbox, &["cut.mcap"], &["record a longer drive", "cut.mcap was cut off"]);
+    let odo = ["cut.mcap", "--odometry", "/odo"];
+    refused(&sandbox, &odo, &["has no odometry on /odo", "it was cut off"]);
     sandbox.assert_clean();
 }
 

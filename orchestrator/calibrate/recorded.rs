@@ -10,6 +10,8 @@ use ipc_types::{Attempt, Command, Odometry, RawCommand, TickHeader, WirePose, ha
 use recorder::reading::Recording;
 use supervisor::Movement;
 use supervisor::envelope::{DriveTrace, Evidence};
+
+use crate::cut_off::blame;
 use tracking::{Path as DrivenPath, PathFollower, Pose};
 use trainer::calibration::far_m;
 
@@ -65,6 +67,16 @@ fn add(recorded: &mut Recorded, file: &Path, config: &RunConfig, kept: &mut usiz
     if let Some(why) = &recording.cut_off {
         recorded.warnings.push(format!("{} {why}; what comes before is used", file.display()));
     }
+    let cut_off = recording.cut_off.clone();
+    blame(add_drives(recorded, &recording, drives, config), cut_off.as_deref())
+}
+
+fn add_drives(
+    recorded: &mut Recorded,
+    recording: &Recording,
+    drives: BTreeMap<(Attempt, usize), Drive>,
+    config: &RunConfig,
+) -> Result<()> {
     let text = recording.attachments.get("config.toml").context("holds no configuration")?;
     let theirs = RunConfig::from_resolved(std::str::from_utf8(text)?)?;
     let made_for = |config: &RunConfig| MadeFor::of(config, Vec::new());

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use byteorder::{BigEndian, LittleEndian};
 use config::{DriveMessage, Vehicle};
 use identification::{Command, Drive, Odometry, Point};
@@ -12,6 +12,7 @@ use ros2_vehicle::messages;
 use serde::de::DeserializeOwned;
 
 use super::{MOST_SAMPLES, Read};
+use crate::cut_off::blame;
 
 /// Slower, a twist tells no steering angle.
 const TELLING_MPS: f64 = 0.05;
@@ -85,10 +86,11 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
     ] {
         if count == 0 {
             let names: Vec<&str> = topics.keys().map(String::as_str).take(30).collect();
-            bail!(
+            let why = anyhow!(
                 "has no {what} on {topic}; name the topic with {option}; the bag has {}",
                 names.join(", ")
             );
+            return blame(Err(why), cut_off.as_deref());
         }
     }
     drive.odometry.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));

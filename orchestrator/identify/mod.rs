@@ -59,7 +59,9 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
     }
     let mut found = identification::identify(&drives, &vehicle, options).map_err(|why| {
         let names: Vec<String> = args.drives.iter().map(|it| it.display().to_string()).collect();
-        Failure::User(format!("{}: {why}", names.join(", ")))
+        // A drive that was not read to its end may be too short for that reason.
+        let lacks: String = warnings.iter().map(|it| format!("; {it}")).collect();
+        Failure::User(format!("{}: {why}{lacks}", names.join(", ")))
     })?;
     warnings.append(&mut found.warnings);
     let refusal = refusal(&found);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use config::launch::{Launch, Role};
 use identification::{Command, Drive, Odometry, Point};
 use ipc_types::layout::Bytes;
@@ -11,6 +11,7 @@ use ipc_types::{Attempt, TickHeader, has};
 use recorder::reading::Recording;
 
 use super::{MOST_SAMPLES, Read};
+use crate::cut_off::blame;
 
 type Key = (Attempt, usize);
 
@@ -40,11 +41,14 @@ pub(super) fn read(file: &Path) -> Result<Read> {
         path = next;
     }
     let first = first.context("holds nothing")?;
+    let cut_off = first.cut_off.as_deref();
     let drives: Vec<Drive> = drives
         .into_values()
         .filter(|it| !it.commands.is_empty() && !it.odometry.is_empty())
         .collect();
-    ensure!(!drives.is_empty(), "holds no drive");
+    if drives.is_empty() {
+        return blame(Err(anyhow!("holds no drive")), cut_off);
+    }
     let mut read = Read { drives, point: Point::Tracked, is_simulated: false, warnings };
     let launch = first.attachments.get("launch.toml").and_then(|it| std::str::from_utf8(it).ok());
     let launch = launch.and_then(|text| Launch::parse("launch.toml", text).ok());

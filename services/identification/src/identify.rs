@@ -151,7 +151,7 @@ pub fn identify(
     let length_s = |all: &[Stretch]| all.iter().map(|it| it.tick_s * it.len() as f64).sum::<f64>();
     let recorded_s = length_s(&whole);
     let chosen = choose(whole, LONGEST_S);
-    let moving_s: f64 = chosen.iter().map(Stretch::moving_s).sum();
+    let moving_s = chosen.iter().map(Stretch::moving_s).fold(0.0, |sum, it| sum + it);
     if moving_s < SHORTEST_S {
         return Err(Refusal::TooShort { moving_s, needed_s: SHORTEST_S });
     }
