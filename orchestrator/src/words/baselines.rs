@@ -4,6 +4,7 @@ use config::RunConfig;
 use outcome::{Baseline, Baselines, Measures, TrainResult};
 
 use crate::words::Failure;
+use crate::words::plants::named;
 use crate::words::tables::{digits, table_of};
 use crate::words::terminal::say;
 
@@ -31,9 +32,9 @@ pub(super) fn print(it: &TrainResult, config: &RunConfig) -> Result<(), Failure>
         ]);
     };
     for set in &beside.sets {
-        row(name_of(set), &set.measures, set.gains.to_string());
+        row(name_of(set), &set.measures, named(&set.gains));
     }
-    row("tuned".to_owned(), &it.measures, it.gains.to_string());
+    row("tuned".to_owned(), &it.measures, named(&it.gains));
     say!("\n{table}");
     say!("{}", verdict(beside, &it.measures));
     Ok(())

@@ -15,6 +15,9 @@ const MOST_BYTES: u64 = 256 << 20;
 /// Reads the result of a run that has ended.
 pub(crate) fn read_result(run: &Path) -> Result<RunResult, ReportError> {
     outcome::read_result(run).map_err(|error| match error {
+        OutcomeError::Io { source, .. } if source.kind() == ErrorKind::NotFound && !run.exists() => {
+            ReportError::Read { path: run.to_owned(), problem: source }
+        }
         OutcomeError::Io { source, .. } if source.kind() == ErrorKind::NotFound => {
             ReportError::Missing {
                 folder: run.to_owned(),
