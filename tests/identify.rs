@@ -376,12 +376,13 @@ fn odometry_from_the_command() {
     write_small_drive(&sandbox, "drive.csv", YawRate::Zero);
     let zero = ["yaw rate is 0 while the car steers", "give an IMU's yaw rate or a localised pose"];
     refused(&sandbox, &["drive.csv", "--write"], &zero);
-    // With a gyro it is identified: the linkage and the understeer count as wheelbase.
+    // With a gyro it is identified: the linkage counts as wheelbase, 0.324 m/0.93.
     write_small_drive(&sandbox, "drive.csv", YawRate::Gyro);
     let output = sandbox.run(&["identify", "drive.csv", "--vehicle", "car.toml", "--write"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let found = vehicle(&sandbox, "car.toml");
-    near(found.wheelbase_m, 0.37, 0.06);
+    near(found.wheelbase_m, 0.324 / 0.93, 0.02);
+    assert!(found.understeer_s2pm > 0.002, "{}", found.understeer_s2pm);
     near(found.steering_delay_s + found.steering_lag_s, 0.12, 0.2);
     sandbox.assert_clean();
 }
