@@ -101,11 +101,11 @@ pub(crate) fn yaw_rates(stretch: &Stretch, vehicle: &Vehicle, scale: f64) -> Vec
         return rates;
     }
     turning.set(rates[0], rates[0]);
-    for index in 1..rates.len() {
+    for (index, rate) in rates.iter_mut().enumerate().skip(1) {
         let held_s = stretch.time_s[index] - stretch.time_s[index - 1];
         let speed_mps = 0.5 * (stretch.smooth_mps[index - 1] + stretch.smooth_mps[index]);
-        turning.turn_to(rates[index], scale * speed_mps, held_s);
-        rates[index] = turning.yaw_rate_radps();
+        turning.turn_to(*rate, scale * speed_mps, held_s);
+        *rate = turning.yaw_rate_radps();
     }
     rates
 }
