@@ -6,7 +6,8 @@
 //! - a *path* is a chain of straight and circular segments, addressed by the distance along it;
 //! - the *reference* is the pose that the vehicle should have at a tick;
 //! - the *tracking error* is the reference's pose in the vehicle frame (the paper's equation 1, rotated);
-//! - the *steering chain* is what a steering command goes through until it is an angle of the road wheels.
+//! - the *steering chain* is what a steering command goes through until it is an angle of the road wheels;
+//! - *turning* is what becomes of that angle: the yaw rate of a car whose tyres slip a little.
 
 // Tests may read and write files, start threads, and know the time.
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
