@@ -1,7 +1,9 @@
 //! Coordinate search: one parameter after the other goes on value by value, to one side or else to the other, for as long as
 //! that is better. (Trying all values of a parameter at once takes nearly twice as many drives: in the roundabout's grid 39
 //! instead of 20 until half of 400 searches had driven a set in the best 1 %.) Once a round over all parameters has changed
-//! nothing, the search starts again from the best set with half of its parameters drawn anew. It starts first in the middle.
+//! nothing, the search starts again: on a grid from the set nearest to the best one that was not driven, which differs in two
+//! parameters; between the values of a grid from the best set with half of its parameters drawn anew. It starts first in the
+//! middle.
 
 use config::RunConfig;
 
@@ -13,6 +15,8 @@ const FEW: usize = 9;
 const EACH_SIDE: i32 = 3;
 /// How often a start near the best set is drawn, until it is new.
 const TRIES: usize = 20;
+/// A grid of at most so many sets is searched as a whole for the start that is nearest to the best set.
+const WHOLE_GRID: usize = 4096;
 /// The least span, as a share of the axis.
 const LEAST_SPAN: f64 = 1.0 / 128.0;
 
@@ -103,14 +107,49 @@ impl Coordinate {
     }
 }
 
-/// The best set so far with half of its parameters drawn anew; a set drawn at random if none of those is new.
+/// Where the search starts again.
 fn near_best(space: &mut Space) -> Point {
     let better = |a: &&Known, b: &&Known| a.mean().total_cmp(&b.mean());
     let Some(best) = space.known.iter().min_by(better).map(|it| it.point.clone()) else {
         return space.draw();
     };
+    nearest_new(space, &best).unwrap_or_else(|| half_drawn(space, &best))
+}
+
+/// The new set of the grid that is the fewest steps from the best one, one of them at random; `None` without a grid, on a
+/// large one, and if no set is new.
+///
+/// In a valley that lies across the parameters a search that changes one of them at a time ends beside the best set, not at
+/// it. Half of the parameters drawn anew lead out of the valley: in the roundabout's grid 88 % of 500 searches had driven a
+/// set in the best 1 % after 60 drives then, 99 % with the nearest sets.
+fn nearest_new(space: &mut Space, best: &[f64]) -> Option<Point> {
+    let count = space.cube.len().filter(|count| *count <= WHOLE_GRID)?;
+    let last: Vec<f64> =
+        (0..best.len()).map(|axis| space.cube.values(axis).map_or(0.0, |it| it as f64 - 1.0)).collect();
+    let steps = |point: &[f64]| {
+        let each = point.iter().zip(best).zip(&last);
+        each.map(|((it, best), last)| ((it - best).abs() * last).round() as usize).sum::<usize>()
+    };
+    let mut nearest: (usize, Vec<usize>) = (usize::MAX, Vec::new());
+    for number in 0..count {
+        let point = space.cube.numbered(number);
+        let steps = steps(&point);
+        if steps > nearest.0 || !space.is_new(&point, &[]) {
+            continue;
+        }
+        if steps < nearest.0 {
+            nearest = (steps, Vec::new());
+        }
+        nearest.1.push(number);
+    }
+    let drawn = nearest.1.get(space.rng.below(nearest.1.len().max(1)))?;
+    Some(space.cube.numbered(*drawn))
+}
+
+/// The best set with half of its parameters drawn anew; a set drawn at random if none of those is new.
+fn half_drawn(space: &mut Space, best: &[f64]) -> Point {
     for _ in 0..TRIES {
-        let (mut point, drawn) = (best.clone(), space.draw());
+        let (mut point, drawn) = (best.to_vec(), space.draw());
         let mut axes: Vec<usize> = (0..point.len()).collect();
         for _ in 0..point.len().div_ceil(2) {
             let axis = axes.swap_remove(space.rng.below(axes.len()));
