@@ -32,9 +32,9 @@ struct Belief {
 }
 
 /// Lengths around half of an axis.
-const LENGTH: Belief = Belief { mean: -0.7, sd: 0.8, bounds: [-3.0, 2.3] };
+const LENGTH: Belief = Belief { mean: -0.7, sd: 1.2, bounds: [-3.0, 2.3] };
 /// Without noise: what the kernel cannot follow, such as the steps of a manoeuvre that ends earlier or later.
-const ROUGHNESS: Belief = Belief { mean: -6.5, sd: 2.0, bounds: [-13.8, -2.3] };
+const ROUGHNESS: Belief = Belief { mean: -9.0, sd: 2.0, bounds: [-13.8, -2.3] };
 const NOISE: Belief = Belief { mean: -3.5, sd: 2.0, bounds: [-9.2, 2.3] };
 /// Steps of the search for a shape, as logarithms.
 const STEPS: [f64; 6] = [1.2, 0.6, 0.6, 0.3, 0.3, 0.15];
@@ -177,14 +177,17 @@ impl Process {
     /// Mean and standard deviation of the process at some points, without a drive's noise.
     pub(crate) fn predict(&self, points: &[Point]) -> Vec<(f64, f64)> {
         let count = points.len();
+        if count == 0 {
+            return Vec::new();
+        }
         let mut columns = covariances(&self.shape, &self.points, points);
         let mut means = vec![0.0; count];
-        for (row, weight) in columns.chunks_exact(count.max(1)).zip(&self.weights) {
+        for (row, weight) in columns.chunks_exact(count).zip(&self.weights) {
             means.iter_mut().zip(row).for_each(|(mean, it)| *mean += weight * it);
         }
-        self.factor.solve_lower(&mut columns, count.max(1));
+        self.factor.solve_lower(&mut columns, count);
         let mut left = vec![1.0; count];
-        for row in columns.chunks_exact(count.max(1)) {
+        for row in columns.chunks_exact(count) {
             left.iter_mut().zip(row).for_each(|(left, it)| *left -= it * it);
         }
         let each = means.into_iter().zip(left);

@@ -124,8 +124,9 @@ fn near_best(space: &mut Space) -> Point {
 /// set in the best 1 % after 60 drives then, 99 % with the nearest sets.
 fn nearest_new(space: &mut Space, best: &[f64]) -> Option<Point> {
     let count = space.cube.len().filter(|count| *count <= WHOLE_GRID)?;
-    let last: Vec<f64> =
-        (0..best.len()).map(|axis| space.cube.values(axis).map_or(0.0, |it| it as f64 - 1.0)).collect();
+    let last: Vec<f64> = (0..best.len())
+        .map(|axis| space.cube.values(axis).map_or(0.0, |it| it as f64 - 1.0))
+        .collect();
     let steps = |point: &[f64]| {
         let each = point.iter().zip(best).zip(&last);
         each.map(|((it, best), last)| ((it - best).abs() * last).round() as usize).sum::<usize>()

@@ -28,6 +28,10 @@ const MOST_MOVES: usize = 20;
 /// coordinate: by such shares of the axis, or at its ends or middle.
 const ALONG_AXES_FROM: usize = 12;
 const ALONG_AXES_BY: [f64; 4] = [0.4, 0.2, 0.1, 0.05];
+/// On a grid and without noise, from so many drives on, each second set is one step from the best one along one coordinate,
+/// until all of those were driven: beside a cliff of bad sets, which the process takes to be as wide as it is high, the
+/// expected improvement asks for none of them.
+const ONE_STEP_FROM: usize = 20;
 /// An end of an axis counts as tried beside the best set if the other coordinates were then no farther off than this.
 const BESIDE: f64 = 0.15;
 /// An end is not tried that comes to so much more by its mean, as a logarithm, even less so many standard deviations.
@@ -135,9 +139,8 @@ impl Gp {
         let least = judged.iter().copied().fold(f64::INFINITY, f64::min);
         let turn = space.known.len() + but.len();
         if !space.noise
-            && turn >= ALONG_AXES_FROM
             && turn.is_multiple_of(2)
-            && let Some(point) = along_axes(space, process, &judged, but)
+            && let Some(point) = beside_best(space, process, &judged, but)
         {
             return Some(point);
         }
@@ -214,23 +217,56 @@ impl Gp {
     }
 }
 
-/// A new set that differs from the best one in one coordinate, the most promising by its mean less `CURIOUS` standard
-/// deviations; `None` on a grid. Where a coordinate matters little beside the others, the process takes its last per cent
-/// for nothing, and the expected improvement never asks for it.
-fn along_axes(space: &Space, process: &Process, judged: &[f64], but: &[Point]) -> Option<Point> {
-    if space.cube.len().is_some() {
-        return None;
-    }
+/// A new set that differs from the best one in one coordinate; `None` if it is too early for that, or if there is none.
+fn beside_best(space: &Space, process: &Process, judged: &[f64], but: &[Point]) -> Option<Point> {
+    let turn = space.known.len() + but.len();
     let best = (0..judged.len()).min_by(|a, b| judged[*a].total_cmp(&judged[*b]))?;
     let centre = &space.known[best].point;
-    if let Some(point) = untried_end(space, process, centre, judged[best], but) {
+    if space.cube.len().is_some() {
+        return (turn >= ONE_STEP_FROM).then(|| one_step(space, process, centre, but))?;
+    }
+    (turn >= ALONG_AXES_FROM).then(|| along_axes(space, process, centre, judged[best], but))?
+}
+
+/// The new set with the least mean of those that are one step of the grid from the best one.
+fn one_step(space: &Space, process: &Process, centre: &[f64], but: &[Point]) -> Option<Point> {
+    let mut beside = Vec::new();
+    for axis in 0..centre.len() {
+        let steps = space.cube.values(axis).map_or(0, |values| values - 1);
+        for step in [-1.0, 1.0] {
+            let to = centre[axis] + step / steps as f64;
+            // A hair more than rounding can add.
+            if (-1e-9..=1.0 + 1e-9).contains(&to) {
+                let mut point = centre.to_vec();
+                point[axis] = to;
+                beside.push(space.cube.nearest(&point));
+            }
+        }
+    }
+    beside.retain(|point| space.is_new(point, but));
+    let means = process.predict(&beside).into_iter().map(|(mean, _)| mean);
+    let (at, _) = means.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b))?;
+    Some(beside.swap_remove(at))
+}
+
+/// A new set that differs from the best one in one coordinate, the most promising by its mean less `CURIOUS` standard
+/// deviations. Where a coordinate matters little beside the others, the process takes its last per cent for nothing, and the
+/// expected improvement never asks for it.
+fn along_axes(
+    space: &Space,
+    process: &Process,
+    centre: &[f64],
+    least: f64,
+    but: &[Point],
+) -> Option<Point> {
+    if let Some(point) = untried_end(space, process, centre, least, but) {
         return Some(point);
     }
     let mut moved = Vec::new();
     for axis in 0..centre.len() {
         let beside = ALONG_AXES_BY.iter().flat_map(|by| [centre[axis] - by, centre[axis] + by]);
         for to in [0.0, 0.5, 1.0].into_iter().chain(beside) {
-            let mut point = centre.clone();
+            let mut point = centre.to_vec();
             point[axis] = to.clamp(0.0, 1.0);
             if space.is_new(&point, but) {
                 moved.push(point);
