@@ -433,6 +433,22 @@ mod tests {
     }
 
     #[test]
+    fn a_better_set_among_bad_ones_is_found_beside_the_best() {
+        // Beyond kl = 16 all is bad but for one set, a step from the bowl's best.
+        let value = |set: &Parameters| match set.0 {
+            [3.0, 21.0, 6.0, ki, ..] if (ki - 0.77).abs() < 0.01 => 0.4,
+            [_, 21.0, ..] => 5.0,
+            _ => bowl(set),
+        };
+        for seed in 1..=4 {
+            let config = config(&["tuner.settings.drives=40", &format!("run.seed={seed}")]);
+            let mut tuner = tuners::tuner("gp", &config);
+            drive(&mut *tuner, |ask| value(&ask.parameters));
+            assert_eq!(value(&tuner.recommend(&by_values)), 0.4, "seed {seed}");
+        }
+    }
+
+    #[test]
     fn a_parameter_that_matters_little_is_tried_at_its_ends_beside_the_best_set() {
         // The first one matters little, and the upper end is the better one, but for the lower end itself, where all is 12 %
         // better.

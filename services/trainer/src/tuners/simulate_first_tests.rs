@@ -5,8 +5,8 @@ use super::*;
 use crate::objective_of;
 use crate::rng::Stream;
 
-/// Figures of many cars by hand: their number, and what follows as `--set`, as in
-/// `PATHTUNE_HIDDEN_CARS='200 tuner.settings.draw=continuous'`.
+/// Figures of many cars by hand: their number or their numbers, and what follows as `--set`, as in
+/// `PATHTUNE_HIDDEN_CARS='100..200 tuner.settings.draw=continuous'`.
 const CARS: &str = "PATHTUNE_HIDDEN_CARS";
 
 fn config(sets: &[String]) -> RunConfig {
@@ -140,14 +140,17 @@ fn few_drives_find_a_set_within_millimetres_of_the_best_on_cars_that_are_not_as_
             .to_owned()
     });
     let mut words = words.split_whitespace().map(str::to_owned);
-    let cars: u64 = words.next().unwrap().parse().unwrap();
+    let numbers = words.next().unwrap();
+    let (first, end) = numbers.split_once("..").unwrap_or(("0", &numbers));
+    let numbers = first.parse::<u64>().unwrap()..end.parse().unwrap();
+    let cars = numbers.end - numbers.start;
     let sets: Vec<String> = words.collect();
     let budgets = [1, 5, 10];
     let mut within = [0u64; 3];
     let (mut beyond, mut driven, mut tried) = (0, 0, 0);
     let (mut random, mut textbook, mut paper) = (0, 0, 0);
     let (mut in_order, mut cold_within, mut cold_beyond) = ([0u64; 3], [0u64; 3], 0);
-    for number in 0..cars {
+    for number in numbers {
         let (file, car) = hidden_car(number, &sets);
         let mut tuner = super::new(&file);
         loop {
