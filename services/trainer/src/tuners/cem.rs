@@ -9,7 +9,7 @@ use config::RunConfig;
 use crate::search::{Method, Point, Search, Space};
 
 /// Width of a new distribution, as a share of the axes.
-const WIDTH: f64 = 0.3;
+const WIDTH: f64 = 0.4;
 /// A distribution that is nowhere wider than this is replaced; on a grid, than this share of the finest step.
 const NARROW: f64 = 1e-3;
 const NARROW_IN_STEPS: f64 = 0.3;
