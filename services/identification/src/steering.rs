@@ -7,8 +7,7 @@
 //!   b is the bias of the gyro;
 //! - the pose in windows of 3 s: v and r integrated, with a rear axle that slips as [`crate::slip`] has found, seen at the
 //!   odometry's point p ahead of it. Each window is laid over the measured one, headings and positions, by the rigid motion
-//!   that fits best (in closed form), so that
-//!   neither the start of the window nor drift counts.
+//!   that fits best (in closed form), so that neither the start of the window nor drift counts.
 
 use config::{Vehicle, VehicleModel};
 use tracking::{SteeringActuator, Turning};

@@ -230,23 +230,31 @@ fn beside_best(space: &Space, process: &Process, judged: &[f64], but: &[Point]) 
 
 /// The new set with the least mean of those that are one step of the grid from the best one.
 fn one_step(space: &Space, process: &Process, centre: &[f64], but: &[Point]) -> Option<Point> {
-    let mut beside = Vec::new();
+    let mut moved = Vec::new();
     for axis in 0..centre.len() {
-        let steps = space.cube.values(axis).map_or(0, |values| values - 1);
+        let steps = space.cube.values(axis).map_or(1, |values| values - 1).max(1);
         for step in [-1.0, 1.0] {
-            let to = centre[axis] + step / steps as f64;
-            // A hair more than rounding can add.
-            if (-1e-9..=1.0 + 1e-9).contains(&to) {
-                let mut point = centre.to_vec();
-                point[axis] = to;
-                beside.push(space.cube.nearest(&point));
+            let mut point = centre.to_vec();
+            point[axis] += step / steps as f64;
+            // Beyond an end of the axis it is the best set itself, which is not new.
+            let point = space.cube.nearest(&point);
+            if space.is_new(&point, but) {
+                moved.push(point);
             }
         }
     }
-    beside.retain(|point| space.is_new(point, but));
-    let means = process.predict(&beside).into_iter().map(|(mean, _)| mean);
-    let (at, _) = means.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b))?;
-    Some(beside.swap_remove(at))
+    least_by(process, moved, |(mean, _)| mean)
+}
+
+/// The first of some points with the least of what is made of their mean and standard deviation.
+fn least_by(
+    process: &Process,
+    mut points: Vec<Point>,
+    of: impl Fn((f64, f64)) -> f64,
+) -> Option<Point> {
+    let each = process.predict(&points).into_iter().map(of);
+    let (at, _) = each.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b))?;
+    Some(points.swap_remove(at))
 }
 
 /// A new set that differs from the best one in one coordinate, the most promising by its mean less `CURIOUS` standard
@@ -273,9 +281,7 @@ fn along_axes(
             }
         }
     }
-    let hopes = process.predict(&moved).into_iter().map(|(mean, sd)| mean - CURIOUS * sd);
-    let (at, _) = hopes.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b))?;
-    Some(moved.swap_remove(at))
+    least_by(process, moved, |(mean, sd)| mean - CURIOUS * sd)
 }
 
 /// The end of an axis that is not tried yet beside the best set, the one with the least mean: a coordinate of which the

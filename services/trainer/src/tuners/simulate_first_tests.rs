@@ -5,7 +5,7 @@ use super::*;
 use crate::objective_of;
 use crate::rng::Stream;
 
-/// Figures of many cars by hand: their number or their numbers, and what follows as `--set`, as in
+/// Figures of many cars by hand: how many cars or which, and what follows as `--set`, as in
 /// `PATHTUNE_HIDDEN_CARS='100..200 tuner.settings.draw=continuous'`.
 const CARS: &str = "PATHTUNE_HIDDEN_CARS";
 
