@@ -6,16 +6,17 @@
 //! file; odometry that is late counts as dead time of the steering.
 
 use config::RunConfig;
-use tracking::{DelayLine, Part, Pose, Reference, SteeringActuator, Turning};
+use tracking::{DelayLine, Part, Pose, Reference, SteeringActuator, SteeringStep, Turning};
 
 use crate::Sight;
 use crate::laws::{LawState, RawCommand};
 use crate::sight::Points;
 
-/// What is known about the steering of one car: its commands on the way, and where its wheels are.
+/// What is known about the steering of one car: its commands on the way, and what its wheels will do by them.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Compensation {
-    actuator: SteeringActuator,
+    /// The steering over a tick.
+    steering: SteeringStep,
     gain: f64,
     offset_rad: f64,
     command_limit_rad: f64,
@@ -25,10 +26,18 @@ pub(crate) struct Compensation {
     /// Ticks until a command reaches the wheels, and until they have followed it by the most part.
     delay_ticks: usize,
     lag_ticks: usize,
-    /// The commands that were given, as many as the dead time needs.
-    given: DelayLine<f64>,
-    /// The angle of the road wheels now.
+    /// As many as the dead time needs. The oldest one has arrived: it tells where the wheels are now.
+    on_the_way: DelayLine<Given>,
+}
+
+/// A command, and what it does in the tick in which it arrives at the wheels. That does not change while it is on its way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Given {
+    command_rad: f64,
+    /// The angle of the road wheels at the end of that tick.
     wheels_rad: f64,
+    /// By what the car turns in it; see [`Turning::tangent`].
+    tangent: f64,
 }
 
 impl Compensation {
@@ -47,9 +56,9 @@ impl Compensation {
             return None;
         }
         let part = Part { length_s: tick_s, ago: [delay_ticks] };
-        let actuator = SteeringActuator::new(vehicle);
+        let none = Given { command_rad: 0.0, wheels_rad: 0.0, tangent: 0.0 };
         let mut new = Self {
-            actuator,
+            steering: SteeringStep::new(SteeringActuator::new(vehicle), tick_s),
             gain: vehicle.steering_gain,
             offset_rad: vehicle.steering_offset_rad,
             command_limit_rad: config.controller.steering_limit_rad,
@@ -58,8 +67,7 @@ impl Compensation {
             tick_s,
             delay_ticks,
             lag_ticks,
-            given: DelayLine::new(&[part], 0.0),
-            wheels_rad: 0.0,
+            on_the_way: DelayLine::new(&[part], none),
         };
         new.restart(0.0);
         Some(new)
@@ -67,8 +75,21 @@ impl Compensation {
 
     /// Forgets everything except the angle that was commanded last, for long enough that the wheels are there.
     pub(crate) fn restart(&mut self, command_rad: f64) {
-        self.given.reset(command_rad);
-        self.wheels_rad = self.actuator.target_rad(command_rad);
+        self.rest(self.steering.actuator().target_rad(command_rad), command_rad);
+    }
+
+    /// Forgets everything: a command has arrived, and the wheels are at an angle.
+    fn rest(&mut self, wheels_rad: f64, command_rad: f64) {
+        let tangent = self.turning.tangent([wheels_rad; 2]);
+        self.on_the_way.reset(Given { command_rad, wheels_rad, tangent });
+    }
+
+    /// What a command does in the tick after another one.
+    #[inline]
+    fn after(&self, before: Given, command_rad: f64) -> Given {
+        let wheels_rad = self.steering.turn(before.wheels_rad, command_rad);
+        let tangent = self.turning.tangent([before.wheels_rad, wheels_rad]);
+        Given { command_rad, wheels_rad, tangent }
     }
 
     /// The steering angle that a law wants of the wheels when the car was commanded this angle.
@@ -90,28 +111,30 @@ impl Compensation {
     /// The pose of the tracked point after the dead time, the lag, and `late_s` more. A car that turns late turns as it does
     /// now, and comes to what its wheels ask for later; the yaw rate of now is the measured one.
     fn predict(&self, pose: Pose, speed_mps: f64, yaw_rate_radps: f64, late_s: f64) -> Pose {
-        let tracked_m = self.points.tracked_m(speed_mps);
-        let rear = pose.ahead(-tracked_m);
-        let (mut x_m, mut y_m, mut yaw_rad) = (rear.x, rear.y, pose.yaw_rad);
-        let mut wheels_rad = self.wheels_rad;
+        let now = self.on_the_way.given(self.delay_ticks);
         let mut turning = self.turning;
-        turning.set(yaw_rate_radps, turning.asked_radps(wheels_rad, speed_mps));
-        let ticks = self.delay_ticks + self.lag_ticks;
-        for tick in 0..ticks + usize::from(late_s > 0.0) {
-            let held_s = if tick < ticks { self.tick_s } else { late_s };
-            // The newest command was given in the last tick. When the last one on the way has arrived, it is held.
-            let command_rad = self.given.given(self.delay_ticks.saturating_sub(tick + 1));
-            let turned_rad = self.actuator.turn(wheels_rad, command_rad, held_s);
-            let turn_rad = turning.turn_evenly([wheels_rad, turned_rad], speed_mps, held_s);
-            let step_m = speed_mps * held_s;
-            let heading_rad = yaw_rad + 0.5 * turn_rad;
-            x_m += step_m * libm::cos(heading_rad);
-            y_m += step_m * libm::sin(heading_rad);
-            (yaw_rad, wheels_rad) = (yaw_rad + turn_rad, turned_rad);
+        turning.set(yaw_rate_radps, turning.asked_radps(now.wheels_rad, speed_mps));
+        let mut moving = Moving::new(pose, self.points.tracked_m(speed_mps));
+        let tick = turning.step(speed_mps, self.tick_s);
+        let mut last = now;
+        for ago in (0..self.delay_ticks).rev() {
+            last = self.on_the_way.given(ago);
+            let asked_radps = turning.asked_by(last.tangent, speed_mps);
+            moving.step(speed_mps * self.tick_s, turning.turn_over(asked_radps, &tick));
         }
-        let rear = Pose { x_m, y_m, yaw_rad };
-        let tracked = rear.ahead(tracked_m);
-        Pose { x_m: tracked.x, y_m: tracked.y, yaw_rad }
+        // All have arrived: the newest one is held.
+        for _ in 0..self.lag_ticks {
+            last = self.after(last, last.command_rad);
+            let asked_radps = turning.asked_by(last.tangent, speed_mps);
+            moving.step(speed_mps * self.tick_s, turning.turn_over(asked_radps, &tick));
+        }
+        if late_s > 0.0 {
+            let Given { command_rad, wheels_rad, .. } = last;
+            let turned_rad = self.steering.actuator().turn(wheels_rad, command_rad, late_s);
+            let turn_rad = turning.turn_evenly([wheels_rad, turned_rad], speed_mps, late_s);
+            moving.step(speed_mps * late_s, turn_rad);
+        }
+        moving.pose()
     }
 
     /// Turns what a law wants of the wheels into the command that gives it, and notes that it was given.
@@ -119,9 +142,7 @@ impl Compensation {
         let limit_rad = self.command_limit_rad;
         let command_rad = (wanted.steering_rad - self.offset_rad) / self.gain;
         let steering_rad = command_rad.clamp(-limit_rad, limit_rad);
-        self.given.push(steering_rad);
-        let arrived_rad = self.given.given(self.delay_ticks);
-        self.wheels_rad = self.actuator.turn(self.wheels_rad, arrived_rad, self.tick_s);
+        self.on_the_way.push(self.after(self.on_the_way.given(0), steering_rad));
         RawCommand { steering_rad, ..wanted }
     }
 
@@ -129,9 +150,10 @@ impl Compensation {
     /// one on, as far as there is room.
     pub(crate) fn add_to(&self, law: &LawState) -> LawState {
         let mut numbers = law.numbers().to_vec();
-        numbers.push(self.wheels_rad);
+        numbers.push(self.on_the_way.given(self.delay_ticks).wheels_rad);
         let room = LawState::MOST - numbers.len();
-        numbers.extend((0..=self.delay_ticks).take(room).map(|ago| self.given.given(ago)));
+        let commands = (0..=self.delay_ticks).map(|ago| self.on_the_way.given(ago).command_rad);
+        numbers.extend(commands.take(room));
         LawState::of(&numbers)
     }
 
@@ -144,12 +166,66 @@ impl Compensation {
         let within = |angle_rad: f64, limit_rad: f64| angle_rad.clamp(-limit_rad, limit_rad);
         let limit_rad = self.command_limit_rad;
         // What did not fit is taken to be the oldest that did.
-        self.given.reset(within(given.last().copied().unwrap_or_default(), limit_rad));
-        for command_rad in given.iter().rev() {
-            self.given.push(within(*command_rad, limit_rad));
+        let oldest = given.last().copied().unwrap_or_default();
+        let command_rad = |ago: usize| within(given.get(ago).copied().unwrap_or(oldest), limit_rad);
+        self.rest(within(*wheels_rad, std::f64::consts::FRAC_PI_2), command_rad(self.delay_ticks));
+        for ago in (0..self.delay_ticks).rev() {
+            self.on_the_way.push(self.after(self.on_the_way.given(0), command_rad(ago)));
         }
-        self.wheels_rad = within(*wheels_rad, std::f64::consts::FRAC_PI_2);
     }
+}
+
+/// A car that moves where it points: the point of it that does so, and how far the tracked one lies ahead.
+struct Moving {
+    pose: Pose,
+    /// Sine and cosine of the yaw.
+    direction: (f64, f64),
+    tracked_m: f64,
+}
+
+impl Moving {
+    fn new(tracked: Pose, tracked_m: f64) -> Self {
+        let at = tracked.ahead(-tracked_m);
+        let pose = Pose { x_m: at.x, y_m: at.y, yaw_rad: tracked.yaw_rad };
+        Self { pose, direction: libm::sincos(tracked.yaw_rad), tracked_m }
+    }
+
+    /// Moves along an arc of a length, which turns by an angle: along its chord.
+    #[inline]
+    fn step(&mut self, length_m: f64, turn_rad: f64) {
+        let half = direction_of(0.5 * turn_rad);
+        let (sin, cos) = turned(self.direction, half);
+        self.direction = turned((sin, cos), half);
+        self.pose.x_m += length_m * cos;
+        self.pose.y_m += length_m * sin;
+        self.pose.yaw_rad += turn_rad;
+    }
+
+    /// The pose of the tracked point.
+    fn pose(&self) -> Pose {
+        let at = self.pose.ahead(self.tracked_m);
+        Pose { x_m: at.x, y_m: at.y, yaw_rad: self.pose.yaw_rad }
+    }
+}
+
+/// Sine and cosine of the sum of two angles.
+#[inline]
+fn turned((sin_a, cos_a): (f64, f64), (sin_b, cos_b): (f64, f64)) -> (f64, f64) {
+    (sin_a * cos_b + cos_a * sin_b, cos_a * cos_b - sin_a * sin_b)
+}
+
+/// Sine and cosine of an angle that is mostly small: of half a turn in a tick. The series are exact to 1e-16 there.
+#[inline]
+fn direction_of(angle_rad: f64) -> (f64, f64) {
+    const SMALL_RAD: f64 = 0.02;
+    if angle_rad.abs() > SMALL_RAD {
+        return libm::sincos(angle_rad);
+    }
+    let square = angle_rad * angle_rad;
+    (
+        angle_rad * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))),
+        1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0)),
+    )
 }
 
 #[cfg(test)]
@@ -243,6 +319,26 @@ mod tests {
             let apart_m = libm::hypot(predicted.x_m - driven.x_m, predicted.y_m - driven.y_m);
             assert!(apart_m < exact_m, "{apart_m} m");
             assert!((predicted.yaw_rad - driven.yaw_rad).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn small_turns_add_up_to_large_ones() {
+        for (turn_rad, steps) in [(1e-9, 100), (0.01, 150), (0.04, 50), (-0.039, 50), (0.3, 9)] {
+            let mut moving = Moving::new(Pose { x_m: 1.0, y_m: 2.0, yaw_rad: 0.4 }, 0.7);
+            (0..steps).for_each(|_| moving.step(0.05, turn_rad));
+            let all_rad = f64::from(steps) * turn_rad;
+            let yaw_rad = 0.4 + all_rad;
+            let (sin, cos) = moving.direction;
+            assert!((sin - libm::sin(yaw_rad)).abs() < 1e-14, "{turn_rad}");
+            assert!((cos - libm::cos(yaw_rad)).abs() < 1e-14, "{turn_rad}");
+            // A polygon in a circle: its last corner lies at the end of one chord.
+            let chord_m = 0.05 * libm::sin(0.5 * all_rad) / libm::sin(0.5 * turn_rad);
+            let (sin, cos) = libm::sincos(0.5 * (0.4 + yaw_rad));
+            let from = Pose { x_m: 1.0, y_m: 2.0, yaw_rad: 0.4 }.ahead(-0.7);
+            let at = moving.pose;
+            assert!((at.x_m - from.x - chord_m * cos).abs() < 1e-12, "{turn_rad}");
+            assert!((at.y_m - from.y - chord_m * sin).abs() < 1e-12, "{turn_rad}");
         }
     }
 

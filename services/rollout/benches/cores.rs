@@ -209,6 +209,29 @@ fn rollout_tick(bencher: Bencher, maneuver: &str) {
         .bench_local(move || rollout.drive(black_box(parameters()), None));
 }
 
+/// A tick of a whole drive with pure pursuit by how the car steers: at once, late with a law that does not know it, and
+/// late with a law that is shown where the car will be.
+#[divan::bench(args = ["in time", "late", "late, compensated"], sample_size = 1)]
+fn tick_by_steering(bencher: Bencher, steering: &str) {
+    let mut layers = Layers::maneuver("smooth_lane").expect("a preset");
+    layers.set("law_preset=pure_pursuit").expect("a law");
+    layers
+        .set(&format!("controller.compensate_dead_time={}", steering.ends_with("compensated")))
+        .expect("a key");
+    if steering != "in time" {
+        for set in ["steering_delay_s=0.2", "steering_lag_s=0.15", "speed_delay_s=0.1"] {
+            layers.set(&format!("vehicle.{set}")).expect("a key");
+        }
+    }
+    let config = layers.resolve().expect("the presets are sound");
+    let set = config.textbook_sets()[0].parameters;
+    let mut rollout = Rollout::new(&config);
+    let ticks = rollout.drive(set, None).ticks;
+    bencher
+        .counter(ItemsCount::new(ticks))
+        .bench_local(move || rollout.drive(black_box(set), None));
+}
+
 /// One tick of a fleet as the pipeline makes it, stage by stage, without the pipeline: against `rollout_tick`, what it
 /// costs that a fleet does not fit into the nearest cache.
 #[divan::bench(args = [1, 16, 64])]

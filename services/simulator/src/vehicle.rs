@@ -10,7 +10,7 @@
 use std::sync::Arc;
 
 use config::{Noise, RunConfig, Vehicle};
-use tracking::{DelayLine, Part, Pose, SteeringActuator, parts_of_tick};
+use tracking::{DelayLine, Part, Pose, SteeringActuator, SteeringStep, parts_of_tick};
 
 use crate::lateral::Lateral;
 use crate::noise::PoseNoise;
@@ -60,7 +60,6 @@ pub struct SimulatedVehicle {
 struct Kind {
     vehicle: Vehicle,
     noise: Noise,
-    steering: SteeringActuator,
     /// The parts of a tick; a single one if dead times are whole numbers of ticks.
     steps: Vec<Step>,
     gear: GearTimes,
@@ -102,6 +101,7 @@ struct Commanded {
 #[derive(Debug)]
 struct Step {
     part: Part<2>,
+    steering: SteeringStep,
     /// Share of its way that a pedal makes in the step.
     pedal_share: f64,
 }
@@ -126,6 +126,7 @@ impl SimulatedVehicle {
         let tick_s = config.drive.tick_s;
         let parts = parts_of_tick([vehicle.speed_delay_s, vehicle.steering_delay_s], tick_s);
         let is_delayed = vehicle.speed_delay_s > 0.0 || vehicle.steering_delay_s > 0.0;
+        let steering = SteeringActuator::new(&vehicle);
         let pedal_share = |step_s: f64| 1.0 - libm::exp(-step_s / vehicle.pedal_lag_s);
         let mut new = Self {
             road: Road::new(config),
@@ -142,10 +143,13 @@ impl SimulatedVehicle {
             brake: 0.0,
             kind: Arc::new(Kind {
                 noise: config.noise,
-                steering: SteeringActuator::new(&vehicle),
                 steps: parts
                     .into_iter()
-                    .map(|part| Step { pedal_share: pedal_share(part.length_s), part })
+                    .map(|part| Step {
+                        pedal_share: pedal_share(part.length_s),
+                        steering: SteeringStep::new(steering, part.length_s),
+                        part,
+                    })
                     .collect(),
                 gear: GearTimes::new(&vehicle, tick_s),
                 start: Start::new(config),
@@ -159,7 +163,7 @@ impl SimulatedVehicle {
     /// Puts the tracked point at `start`, at rest or rolling straight on at the configured speed, and restarts the noise
     /// from its seed, if there is any.
     pub fn reset(&mut self, start: Pose, noise_seed: Option<u64>) {
-        let Kind { vehicle, noise, steering, start: begin, .. } = &*self.kind;
+        let Kind { vehicle, noise, steps, start: begin, .. } = &*self.kind;
         let back = start.ahead(-vehicle.tracked_point_m);
         self.rear_axle = Pose { x_m: back.x, y_m: back.y, yaw_rad: start.yaw_rad };
         self.noise = noise_seed.map(|seed| Box::new(PoseNoise::new(*noise, seed)));
@@ -171,7 +175,7 @@ impl SimulatedVehicle {
         self.gear.engaged |= begin.speed_mps > 0.0;
         self.speed_mps = begin.speed_mps;
         self.yaw_rate_radps = 0.0;
-        self.steering_rad = steering.target_rad(0.0);
+        self.steering_rad = steps[0].steering.actuator().target_rad(0.0);
         self.integral = begin.integral;
         self.throttle = begin.throttle;
         self.brake = 0.0;
@@ -200,7 +204,7 @@ impl SimulatedVehicle {
 
     /// Drives one tick with a command: forward speed, and steering angle of the road wheels.
     pub fn step(&mut self, speed_mps: f64, steering_rad: f64) {
-        let Kind { vehicle, steering, steps, gear, .. } = &*self.kind;
+        let Kind { vehicle, steps, gear, .. } = &*self.kind;
         let given = Commanded { speed_mps: speed_mps.min(vehicle.speed_limit_mps), steering_rad };
         if let Some(on_the_way) = &mut self.on_the_way {
             on_the_way.push(given);
@@ -231,7 +235,7 @@ impl SimulatedVehicle {
             self.speed_mps =
                 (self.speed_mps + (accel_mps2 - vehicle.rolling_decel_mps2) * step_s).max(0.0);
 
-            self.steering_rad = steering.turn(self.steering_rad, steering_command, step_s);
+            self.steering_rad = step.steering.turn(self.steering_rad, steering_command);
             self.yaw_rate_radps =
                 self.lateral.step(&mut self.rear_axle, self.speed_mps, self.steering_rad, step_s);
         }

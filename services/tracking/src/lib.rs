@@ -28,8 +28,8 @@ pub use objectives::Objective;
 pub use path::{Path, PathFollower, PathPoint};
 pub use record::{Covered, DriveRecord, DriveRecorder, EndReason, TickMeasures, state_distance};
 pub use reference::{FASTEST_CLOCK, Reference};
-pub use steering::{DelayLine, Part, SteeringActuator, SteeringChain, parts_of_tick};
-pub use turning::Turning;
+pub use steering::{DelayLine, Part, SteeringActuator, SteeringChain, SteeringStep, parts_of_tick};
+pub use turning::{Turning, TurningStep};
 pub use zones::ZoneTracker;
 
 use nalgebra::{Rotation2, Vector2};

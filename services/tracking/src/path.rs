@@ -40,8 +40,9 @@ struct Segment {
     curvature: f64,
     /// Where it ends.
     end: (f64, f64),
-    /// The centre of an arc's circle.
+    /// The centre of an arc's circle, and the direction from there to its start.
     centre: (f64, f64),
+    from_centre_rad: f64,
 }
 
 impl Segment {
@@ -56,11 +57,13 @@ impl Segment {
             curvature,
             end: (0.0, 0.0),
             centre: (0.0, 0.0),
+            from_centre_rad: 0.0,
         };
         let end = segment.at(length_m);
         segment.end = (end.x_m, end.y_m);
         if curvature != 0.0 {
             segment.centre = (start.x_m - sin / curvature, start.y_m + cos / curvature);
+            segment.from_centre_rad = libm::atan2(-cos / curvature, sin / curvature);
         }
         segment
     }
@@ -98,28 +101,31 @@ impl Segment {
 
     /// The pose `ahead_m` after the segment's start, also beyond its end.
     fn at(&self, ahead_m: f64) -> Pose {
-        let Segment { start, sin, cos, curvature, .. } = *self;
-        if curvature == 0.0 {
-            return Pose {
-                x_m: start.x_m + ahead_m * cos,
-                y_m: start.y_m + ahead_m * sin,
-                yaw_rad: start.yaw_rad,
-            };
-        }
-        let yaw_rad = start.yaw_rad + curvature * ahead_m;
-        Pose {
-            x_m: start.x_m + (libm::sin(yaw_rad) - sin) / curvature,
-            y_m: start.y_m - (libm::cos(yaw_rad) - cos) / curvature,
-            yaw_rad,
-        }
+        self.at_with_direction(ahead_m).0
     }
 
-    /// Whether no point of the segment can be as near to (x, y) as the square root of `apart`: no point of it is
-    /// farther from its start than the segment is long. Cheap, and never true by rounding alone.
-    fn is_beyond(&self, x_m: f64, y_m: f64, apart: f64) -> bool {
+    /// The same, with the sine and the cosine of its yaw.
+    #[inline]
+    fn at_with_direction(&self, ahead_m: f64) -> (Pose, (f64, f64)) {
+        let Segment { start, sin, cos, curvature, .. } = *self;
+        if curvature == 0.0 {
+            let (x_m, y_m) = (start.x_m + ahead_m * cos, start.y_m + ahead_m * sin);
+            return (Pose { x_m, y_m, yaw_rad: start.yaw_rad }, (sin, cos));
+        }
+        let yaw_rad = start.yaw_rad + curvature * ahead_m;
+        let (sin_there, cos_there) = libm::sincos(yaw_rad);
+        let x_m = start.x_m + (sin_there - sin) / curvature;
+        let y_m = start.y_m - (cos_there - cos) / curvature;
+        (Pose { x_m, y_m, yaw_rad }, (sin_there, cos_there))
+    }
+
+    /// Whether no point of the segment can be as near to (x, y) as `apart_m`: no point of it is farther from its start than
+    /// the segment is long. Cheap, and never true by rounding alone.
+    #[inline]
+    fn is_beyond(&self, x_m: f64, y_m: f64, apart_m: f64) -> bool {
         const ROUNDING_M: f64 = 1e-6;
         let (dx, dy) = (x_m - self.start.x_m, y_m - self.start.y_m);
-        let reach_m = apart.sqrt() + self.length_m + ROUNDING_M;
+        let reach_m = apart_m + self.length_m + ROUNDING_M;
         dx * dx + dy * dy > reach_m * reach_m
     }
 
@@ -132,8 +138,7 @@ impl Segment {
         }
         // Angle swept around the centre, which lies 1/curvature to the left of the start.
         let (cx, cy) = (dx + sin / curvature, dy - cos / curvature);
-        let swept =
-            wrap_angle(libm::atan2(cy, cx) - libm::atan2(-cos / curvature, sin / curvature));
+        let swept = wrap_angle(libm::atan2(cy, cx) - self.from_centre_rad);
         let turn = std::f64::consts::TAU / curvature.abs();
         let mut ahead_m = swept / curvature;
         // Long arcs pass an angle more than once; short ones may be missed on either side.
@@ -283,25 +288,35 @@ impl Path {
         counts: impl Fn(Pose) -> bool,
     ) -> Option<PathPoint> {
         let (low, high) = (near_m - window_m, near_m + window_m);
-        let mut best: Option<(f64, PathPoint)> = None;
+        let offer = |segment: &Segment| {
+            let (from, to) = (segment.from_m, segment.from_m + segment.length_m);
+            let along_m = (from + segment.nearest(x_m, y_m)).clamp(low.max(from), high.min(to));
+            let (pose, (sin, cos)) = segment.at_with_direction(along_m - from);
+            let (dx, dy) = (x_m - pose.x_m, y_m - pose.y_m);
+            let offset_m = dy * cos - dx * sin;
+            let point = PathPoint { along_m, offset_m, pose };
+            counts(pose).then_some((dx * dx + dy * dy, point))
+        };
         // A path through points has thousands of segments, and the window a few dozen.
         let first =
             self.segments.partition_point(|segment| segment.from_m + segment.length_m < low);
-        for segment in &self.segments[first..] {
-            let (from, to) = (segment.from_m, segment.from_m + segment.length_m);
-            if from > high {
-                break;
-            }
-            if best.is_some_and(|(least, _)| segment.is_beyond(x_m, y_m, least)) {
+        let end = self.segments.partition_point(|segment| segment.from_m <= high).max(first);
+        let window = &self.segments[first..end];
+        // The one at the middle is mostly the nearest. What it offers keeps most others from being looked at closely.
+        let middle = window.partition_point(|segment| segment.from_m + segment.length_m < near_m);
+        let of_middle = window.get(middle).and_then(offer);
+        let mut least_m = of_middle.map_or(f64::INFINITY, |(apart, _)| apart.sqrt());
+        let mut best: Option<(f64, PathPoint)> = None;
+        for (index, segment) in window.iter().enumerate() {
+            if segment.is_beyond(x_m, y_m, least_m) {
                 continue;
             }
-            let along_m = (from + segment.nearest(x_m, y_m)).clamp(low.max(from), high.min(to));
-            let pose = segment.at(along_m - from);
-            let (dx, dy) = (x_m - pose.x_m, y_m - pose.y_m);
-            let apart = dx * dx + dy * dy;
-            if best.is_none_or(|(least, _)| apart < least) && counts(pose) {
-                let offset_m = dy * libm::cos(pose.yaw_rad) - dx * libm::sin(pose.yaw_rad);
-                best = Some((apart, PathPoint { along_m, offset_m, pose }));
+            let offered = if index == middle { of_middle } else { offer(segment) };
+            if let Some((apart, point)) = offered
+                && best.is_none_or(|(least, _)| apart < least)
+            {
+                best = Some((apart, point));
+                least_m = least_m.min(apart.sqrt());
             }
         }
         best.map(|(_, point)| point)

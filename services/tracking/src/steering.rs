@@ -53,6 +53,23 @@ impl SteeringActuator {
     /// The angle of the road wheels `held_s` later, while a command is held: exact, however long that is.
     #[inline]
     pub fn turn(&self, angle_rad: f64, command_rad: f64, held_s: f64) -> f64 {
+        self.turn_by(angle_rad, command_rad, held_s, |rest_s| self.share(rest_s))
+    }
+
+    /// The share of its way that the lag alone makes in a time.
+    #[inline]
+    fn share(&self, time_s: f64) -> f64 {
+        -libm::expm1(-time_s / self.lag_s)
+    }
+
+    #[inline]
+    fn turn_by(
+        &self,
+        angle_rad: f64,
+        command_rad: f64,
+        held_s: f64,
+        share: impl Fn(f64) -> f64,
+    ) -> f64 {
         let (target_rad, band_rad) = (self.target_rad(command_rad), self.dead_band_rad);
         let aim_rad = angle_rad.max(target_rad - band_rad).min(target_rad + band_rad);
         let error_rad = aim_rad - angle_rad;
@@ -64,9 +81,38 @@ impl SteeringActuator {
         let error_abs_rad = error_rad.abs();
         let limited_rad = (error_abs_rad - self.rate_radps * self.lag_s).clamp(0.0, reach_rad);
         let rest_s = (held_s - limited_rad / self.rate_radps).max(0.0);
-        let share = -libm::expm1(-rest_s / self.lag_s);
-        let turned_rad = limited_rad + share * (error_abs_rad - limited_rad);
+        let turned_rad = limited_rad + share(rest_s) * (error_abs_rad - limited_rad);
         angle_rad + turned_rad.copysign(error_rad)
+    }
+}
+
+/// An actuator whose commands are all held for the same time: the same angles to the bit, for less.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SteeringStep {
+    actuator: SteeringActuator,
+    held_s: f64,
+    /// The share of its way that the lag makes in a whole step.
+    share: f64,
+}
+
+impl SteeringStep {
+    /// Steps of this length.
+    pub fn new(actuator: SteeringActuator, held_s: f64) -> Self {
+        Self { actuator, held_s, share: actuator.share(held_s) }
+    }
+
+    /// The actuator itself.
+    pub fn actuator(&self) -> &SteeringActuator {
+        &self.actuator
+    }
+
+    /// As [`SteeringActuator::turn`], over a step.
+    #[inline]
+    pub fn turn(&self, angle_rad: f64, command_rad: f64) -> f64 {
+        let share = |rest_s| {
+            if rest_s == self.held_s { self.share } else { self.actuator.share(rest_s) }
+        };
+        self.actuator.turn_by(angle_rad, command_rad, self.held_s, share)
     }
 }
 
@@ -85,7 +131,7 @@ impl SteeringActuator {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SteeringChain {
     actuator: SteeringActuator,
-    parts: Vec<Part<1>>,
+    parts: Vec<(Part<1>, SteeringStep)>,
     on_the_way: DelayLine<f64>,
     angle_rad: f64,
 }
@@ -96,6 +142,8 @@ impl SteeringChain {
         let actuator = SteeringActuator::new(vehicle);
         let parts = parts_of_tick([vehicle.steering_delay_s], tick_s);
         let on_the_way = DelayLine::new(&parts, 0.0);
+        let step = |part: Part<1>| (part, SteeringStep::new(actuator, part.length_s));
+        let parts = parts.into_iter().map(step).collect();
         Self { actuator, parts, on_the_way, angle_rad: actuator.target_rad(0.0) }
     }
 
@@ -109,9 +157,9 @@ impl SteeringChain {
     /// end.
     pub fn step(&mut self, command_rad: f64) -> f64 {
         self.on_the_way.push(command_rad);
-        for part in &self.parts {
+        for (part, step) in &self.parts {
             let command_rad = self.on_the_way.given(part.ago[0]);
-            self.angle_rad = self.actuator.turn(self.angle_rad, command_rad, part.length_s);
+            self.angle_rad = step.turn(self.angle_rad, command_rad);
         }
         self.angle_rad
     }
@@ -273,6 +321,16 @@ mod tests {
             let two = actuator.turn(actuator.turn(angle, command, first_s), command, then_s);
             let one = actuator.turn(angle, command, first_s + then_s);
             prop_assert!((one - two).abs() < 1e-12, "{one} {two}");
+        }
+
+        #[test]
+        fn many_steps_of_one_length_are_the_same_to_the_bit(
+            vehicle in vehicles(), angle in -0.5..0.5f64, command in -0.7..0.7f64, held_s in 0.001..0.2f64,
+        ) {
+            let actuator = SteeringActuator::new(&vehicle);
+            let wanted_rad = actuator.turn(angle, command, held_s);
+            let found_rad = SteeringStep::new(actuator, held_s).turn(angle, command);
+            prop_assert_eq!(found_rad.to_bits(), wanted_rad.to_bits());
         }
 
         #[test]

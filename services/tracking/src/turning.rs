@@ -20,6 +20,15 @@ pub struct Turning {
     asked_radps: f64,
 }
 
+/// What does not change from step to step at one speed.
+#[derive(Debug, Clone, Copy)]
+pub struct TurningStep {
+    held_s: f64,
+    lag_s: f64,
+    /// The share that dies away in the step of what the yaw rate is off.
+    gone: f64,
+}
+
 impl Turning {
     /// Of a vehicle at rest.
     pub fn new(vehicle: &Vehicle) -> Self {
@@ -40,7 +49,7 @@ impl Turning {
     /// The yaw rate that it comes to while its wheels stay so: ρ.
     #[inline]
     pub fn asked_radps(&self, steering_rad: f64, speed_mps: f64) -> f64 {
-        speed_mps * libm::tan(steering_rad) / self.wheelbase_m(speed_mps)
+        self.asked_by(libm::tan(steering_rad), speed_mps)
     }
 
     /// The lag of its yaw rate at this speed: T.
@@ -68,16 +77,42 @@ impl Turning {
     /// The same where the wheels turn evenly from one angle to another, without lag, too.
     #[inline]
     pub fn turn_evenly(&mut self, wheels_rad: [f64; 2], speed_mps: f64, held_s: f64) -> f64 {
-        let [from_rad, to_rad] = wheels_rad;
-        let is_late = self.late_s(speed_mps) > 0.0;
-        self.turn(if is_late { to_rad } else { 0.5 * (from_rad + to_rad) }, speed_mps, held_s)
+        let asked_radps = self.asked_by(self.tangent(wheels_rad), speed_mps);
+        self.turn_to(asked_radps, speed_mps, held_s)
+    }
+
+    /// The tangent of the angle that counts while the wheels turn evenly from one angle to another: without lag that in
+    /// the middle, for what they ask for is then theirs from the start; with lag the last one, for its way there is known.
+    #[inline]
+    pub fn tangent(&self, [from_rad, to_rad]: [f64; 2]) -> f64 {
+        libm::tan(if self.lag_s2pm > 0.0 { to_rad } else { 0.5 * (from_rad + to_rad) })
+    }
+
+    /// The yaw rate that wheels ask for whose angle has this tangent.
+    #[inline]
+    pub fn asked_by(&self, tangent: f64, speed_mps: f64) -> f64 {
+        speed_mps * tangent / self.wheelbase_m(speed_mps)
     }
 
     /// The same where the yaw rate is known that the wheels ask for in the end. What they ask for changes evenly, and the
     /// solution is exact for that; without lag, they are there from the start.
     #[inline]
     pub fn turn_to(&mut self, asked_radps: f64, speed_mps: f64, held_s: f64) -> f64 {
+        self.turn_over(asked_radps, &self.step(speed_mps, held_s))
+    }
+
+    /// A step of this length at a speed, for [`Turning::turn_over`].
+    #[inline]
+    pub fn step(&self, speed_mps: f64, held_s: f64) -> TurningStep {
         let lag_s = self.late_s(speed_mps);
+        let gone = if lag_s == 0.0 { 1.0 } else { -libm::expm1(-held_s / lag_s) };
+        TurningStep { held_s, lag_s, gone }
+    }
+
+    /// As [`Turning::turn_to`], in one of many steps of the same length at the same speed.
+    #[inline]
+    pub fn turn_over(&mut self, asked_radps: f64, step: &TurningStep) -> f64 {
+        let TurningStep { held_s, lag_s, gone } = *step;
         if lag_s == 0.0 {
             (self.yaw_rate_radps, self.asked_radps) = (asked_radps, asked_radps);
             return asked_radps * held_s;
@@ -86,7 +121,6 @@ impl Turning {
         // Behind a ramp for long, the yaw rate is this far behind it; what is off that dies away.
         let behind_radps = (asked_radps - before_radps) / held_s * lag_s;
         let off_radps = self.yaw_rate_radps - before_radps + behind_radps;
-        let gone = -libm::expm1(-held_s / lag_s);
         self.yaw_rate_radps = asked_radps - behind_radps + off_radps * (1.0 - gone);
         (0.5 * (before_radps + asked_radps) - behind_radps) * held_s + off_radps * lag_s * gone
     }

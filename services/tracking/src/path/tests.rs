@@ -200,6 +200,33 @@ proptest! {
     }
 
     #[test]
+    fn what_a_projection_does_not_look_at_closely_is_farther_away(
+        along in 0.0..100.0f64, x_m in -30.0..60.0f64, y_m in -40.0..40.0f64, window_m in 0.1..60.0f64,
+    ) {
+        // Many places on many turns: as far from a circle's middle as anywhere.
+        let round = through(&circle(10.0, 63, 1.6));
+        for path in [path(MIXED), path("[{kind='cosine',length_m=60.0,offset_m=9.0}]"), round] {
+            let found = path.project(x_m, y_m, along, window_m);
+            let (low, high) = (along - window_m, along + window_m);
+            let mut wanted: Option<(f64, f64)> = None;
+            for segment in &*path.segments {
+                let (from, to) = (segment.from_m, segment.from_m + segment.length_m);
+                if to < low || from > high {
+                    continue;
+                }
+                let along_m = (from + segment.nearest(x_m, y_m)).clamp(low.max(from), high.min(to));
+                let pose = segment.at(along_m - from);
+                let apart = (x_m - pose.x_m).powi(2) + (y_m - pose.y_m).powi(2);
+                if wanted.is_none_or(|(least, _)| apart < least) {
+                    wanted = Some((apart, along_m));
+                }
+            }
+            let beyond_its_end = (0.0, path.length_m());
+            prop_assert_eq!(found.along_m, wanted.unwrap_or(beyond_its_end).1);
+        }
+    }
+
+    #[test]
     fn the_path_has_no_gaps(along in 0.0..80.0f64) {
         let path = path(MIXED);
         let (a, b) = (path.at(along), path.at(along + 1e-6));
