@@ -12,8 +12,9 @@ pub(super) fn print(it: &SimulatedFirst, config: &RunConfig) -> Result<(), Failu
     let objective = &*config.objective.name;
     let within_m = digits(it.within_m, 2);
     say!(
-        "\nsimulated first: {} sets on {} plants like this car; {} of them stay within {within_m} m of the path on all of these, \
-         and only those were driven",
+        "\nsimulated first: the best {} of {} sets on {} plants like this car; {} of them stay within {within_m} m of the path \
+         on all of these, and only those were driven",
+        it.on_all,
         it.candidates,
         it.plants,
         it.within,

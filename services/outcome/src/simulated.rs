@@ -10,10 +10,13 @@ use crate::ParameterTable;
 /// the car is one of them, only its own drives can say.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SimulatedFirst {
-    /// Plants on which each set was simulated.
+    /// Plants on which sets were simulated.
     pub plants: usize,
-    /// Sets that were simulated.
+    /// Sets that were simulated on the first plants.
     pub candidates: usize,
+    /// Sets that were simulated on all of them: those that were best on the first ones, and the textbook's.
+    #[serde(default)]
+    pub on_all: usize,
     /// Only sets were driven that stay this near to the path on all these plants.
     pub within_m: f64,
     /// How many sets do.

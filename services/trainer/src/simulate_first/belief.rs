@@ -94,6 +94,7 @@ mod tests {
                 point: vec![at],
                 logs: logs.to_vec(),
                 worst_m: 0.0,
+                is_out: false,
             })
             .collect()
     }

@@ -67,8 +67,9 @@ pub(crate) fn simulated_first(
     SimulatedFirst {
         plants: ensemble.plants(),
         candidates: candidates.len(),
+        on_all: candidates.iter().filter(|it| !it.is_out).count(),
         within_m,
-        within: candidates.iter().filter(|it| it.worst_m <= within_m).count(),
+        within: candidates.iter().filter(|it| it.stays_within(within_m)).count(),
         drives: driven.len() as u64,
         beyond,
         beyond_low,
@@ -103,7 +104,7 @@ fn fresh(
 ) -> FreshDrives {
     let candidates = ensemble.candidates();
     let mut order: Vec<usize> = (0..candidates.len())
-        .filter(|it| candidates[*it].worst_m <= within_m && *it != chosen)
+        .filter(|it| candidates[*it].stays_within(within_m) && *it != chosen)
         .collect();
     order.sort_by(|a, b| belief.sets[*a].0.total_cmp(&belief.sets[*b].0).then(a.cmp(b)));
     order.truncate(COMPARED);

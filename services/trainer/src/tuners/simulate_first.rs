@@ -58,7 +58,7 @@ impl SimulateFirst {
     }
 
     fn is_within(&self, candidate: usize) -> bool {
-        self.ensemble.candidates()[candidate].worst_m <= self.within_m
+        self.ensemble.candidates()[candidate].stays_within(self.within_m)
     }
 
     fn times(&self, candidate: usize) -> usize {
