@@ -237,6 +237,72 @@ fn the_excitation_is_driven_and_names_the_command_that_identifies() {
     sandbox.assert_clean();
 }
 
+/// A bag with a recording's odometry, in which the car was told twists by a wheelbase.
+fn as_twists(recording: &Path, bag: &Path, wheelbase_m: f64) {
+    use byteorder::LittleEndian;
+    use ros2_vehicle::messages::{AckermannDriveStamped, Twist};
+    let file = std::io::BufWriter::new(fs::File::create(bag).unwrap());
+    let mut writer = mcap::Writer::new(file).unwrap();
+    let channels = ["/odom", "/cmd_vel"]
+        .map(|topic| writer.add_channel(0, topic, "cdr", &Default::default()).unwrap());
+    let mut write = |at: usize, time_ns: u64, data: &[u8]| {
+        let header = mcap::records::MessageHeader {
+            channel_id: channels[at],
+            sequence: 0,
+            log_time: time_ns,
+            publish_time: time_ns,
+        };
+        writer.write_to_known_channel(&header, data).unwrap();
+    };
+    recorder::reading::read_any(recording, |topic, time_ns, data| {
+        if topic == "/odom" {
+            write(0, time_ns, data);
+        } else if topic == "/cmd" {
+            let (told, _) =
+                cdr_encoding::from_bytes::<AckermannDriveStamped, LittleEndian>(&data[4..])?;
+            let (speed, angle) =
+                (f64::from(told.drive.speed), f64::from(told.drive.steering_angle));
+            let mut twist = Twist::default();
+            twist.linear.x = speed;
+            twist.angular.z = speed * angle.tan() / wheelbase_m;
+            let body = cdr_encoding::to_vec::<_, LittleEndian>(&twist)?;
+            write(1, time_ns, &[&[0, 1, 0, 0], &body[..]].concat());
+        }
+        Ok(())
+    })
+    .unwrap();
+    writer.finish().unwrap();
+}
+
+/// What becomes of angles on their way through twists depends on the file's wheelbase: another one in it would change the
+/// car's answer by as much, and the next identification the wheelbase.
+#[test]
+fn twists_tell_how_much_the_car_turns_and_not_its_wheelbase() {
+    let sandbox = sandbox();
+    let args = ["drive", "roundabout", "--vehicle", "true.toml", "--record", "--out", "out"];
+    let output = sandbox.run(&args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let (file, truth) = (vehicle(&sandbox, "car.toml"), vehicle(&sandbox, "true.toml"));
+    let by_m = file.wheelbase_m / 0.9;
+    as_twists(&sandbox.path("out/recording.mcap"), &sandbox.path("twists.mcap"), by_m);
+    let args = ["identify", "twists.mcap", "--vehicle", "car.toml", "--json", "--simulated"];
+    let topics = ["--odometry", "/odom", "--command", "/cmd_vel", "--command-type", "twist"];
+    let output = sandbox.run(&[&args[..], &topics].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let said = stderr(&output);
+    assert!(
+        said.contains("asks for a yaw rate") && said.contains("wheelbase_m stays 2.2 m"),
+        "{said}"
+    );
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let rows = json["identification"]["rows"].as_array().unwrap();
+    let row = |key: &str| rows.iter().find(|row| row["key"] == key);
+    assert_eq!(row("wheelbase_m"), None);
+    // The file's angles are 0.9 times those of the car, and its wheelbase is another.
+    let gain = row("steering_gain").unwrap()["after"].as_f64().unwrap();
+    near(gain, file.wheelbase_m / truth.wheelbase_m / 0.9, 0.01);
+}
+
 #[test]
 fn a_recording_of_ours_is_read_as_such_and_as_the_bag_that_it_also_is() {
     let sandbox = sandbox();

@@ -101,7 +101,14 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
     let warnings = cut_off
         .map(|why| vec![format!("{} {why}; what comes before is used", file.display())])
         .unwrap_or_default();
-    Ok(Read { drives: vec![drive], point: Point::Odometry, is_simulated: false, warnings })
+    let are_twists = matches!(kind, CommandType::Twist | CommandType::TwistStamped);
+    Ok(Read {
+        drives: vec![drive],
+        point: Point::Odometry,
+        is_simulated: false,
+        are_twists,
+        warnings,
+    })
 }
 
 fn is_finite(it: &Odometry) -> bool {

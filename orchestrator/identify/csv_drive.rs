@@ -97,7 +97,27 @@ fn parse(text: impl std::io::Read) -> Result<Read> {
     ensure!(!drive.odometry.is_empty() && !drive.commands.is_empty(), "holds no drive");
     // A gap in a yaw rate that is measured otherwise: without it, the heading's would be taken for all of the drive.
     fill_gaps(&mut drive.odometry);
-    Ok(Read { drives: vec![drive], point: Point::Tracked, ..Read::default() })
+    let warnings = sampled_commands(&drive).into_iter().collect();
+    Ok(Read { drives: vec![drive], point: Point::Tracked, warnings, ..Read::default() })
+}
+
+/// What to know where commands are noted in the rows of the odometry, far apart: most were given before they were noted.
+fn sampled_commands(drive: &Drive) -> Option<String> {
+    const FAR_S: f64 = 0.025;
+    let same = drive.odometry.len() == drive.commands.len()
+        && drive.odometry.iter().zip(&drive.commands).all(|(a, b)| a.time_s == b.time_s);
+    let (first, last) = (drive.commands.first()?, drive.commands.last()?);
+    let apart_s = (last.time_s - first.time_s) / (drive.commands.len().max(2) - 1) as f64;
+    (same && apart_s > FAR_S).then(|| {
+        format!(
+            "commands stand in the rows of the odometry, {:.0} ms apart: if they were not given at these times but noted with \
+             the next row, dead times come out up to {:.0} ms too short ({:.0} ms on average); give commands rows of their own, \
+             or log at 100 Hz",
+            1e3 * apart_s,
+            1e3 * apart_s,
+            0.5e3 * apart_s
+        )
+    })
 }
 
 /// What a message shows of a text of any length.
@@ -137,6 +157,23 @@ mod tests {
         assert_eq!((drive.odometry.len(), drive.commands.len()), (2, 2));
         assert!(drive.odometry[0].yaw_rate_radps.is_nan());
         assert_eq!(drive.commands[1], Command { time_s: 0.015, steering_rad: 0.1, speed_mps: 3.0 });
+    }
+
+    #[test]
+    fn commands_that_were_sampled_with_slow_odometry_are_told() {
+        let rows = |apart_s: f64, own: bool| {
+            let mut text = "t_s,x_m,y_m,yaw_rad,v_mps,cmd_steering_rad,cmd_speed_mps\n".to_owned();
+            for row in 0..50 {
+                let time_s = apart_s * f64::from(row);
+                text += &match own {
+                    true => format!("{time_s},0,0,0,1,,\n{},,,,,0.1,1\n", time_s + 0.001),
+                    false => format!("{time_s},0,0,0,1,0.1,1\n"),
+                };
+            }
+            parse(text.as_bytes()).unwrap().warnings
+        };
+        assert!(rows(0.05, false)[0].contains("up to 50 ms too short (25 ms on average)"));
+        assert!(rows(0.05, true).is_empty() && rows(0.01, false).is_empty());
     }
 
     #[test]

@@ -25,6 +25,9 @@ pub(crate) struct Read {
     pub(crate) drives: Vec<Drive>,
     pub(crate) point: Point,
     pub(crate) is_simulated: bool,
+    /// Commands are yaw rates. They were made of steering angles by the file's wheelbase, and will be again: if another one
+    /// were identified, the car would answer differently by as much.
+    pub(crate) are_twists: bool,
     /// What the user should know of the file.
     pub(crate) warnings: Vec<String>,
 }
@@ -54,6 +57,15 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
         }
         options.point = read.point;
         options.is_simulated |= read.is_simulated;
+        options.wheelbase_is_measured |= read.are_twists;
+        if read.are_twists {
+            warnings.push(format!(
+                "{}: a twist asks for a yaw rate, and the car turns its wheels for it by a wheelbase of its own: wheelbase_m stays \
+                 {} m, by which angles become twists, and steering_gain says how much more or less the car turns",
+                file.display(),
+                vehicle.wheelbase_m
+            ));
+        }
         drives.extend(read.drives);
         warnings.extend(read.warnings);
     }

@@ -49,7 +49,7 @@ pub(super) fn read(file: &Path) -> Result<Read> {
     if drives.is_empty() {
         return blame(Err(anyhow!("holds no drive")), cut_off);
     }
-    let mut read = Read { drives, point: Point::Tracked, is_simulated: false, warnings };
+    let mut read = Read { drives, warnings, ..Read::default() };
     let launch = first.attachments.get("launch.toml").and_then(|it| std::str::from_utf8(it).ok());
     let launch = launch.and_then(|text| Launch::parse("launch.toml", text).ok());
     let vehicle = launch
@@ -58,7 +58,7 @@ pub(super) fn read(file: &Path) -> Result<Read> {
         let service = entry.service.as_deref();
         read.is_simulated = entry.command.is_none() && matches!(service, None | Some("simulator"));
         if service == Some("ros2-vehicle") {
-            to_odometry_point(&mut read, &first)?;
+            as_the_adapter_drove(&mut read, &first)?;
         }
     }
     Ok(read)
@@ -118,8 +118,8 @@ fn note(
 }
 
 /// The adapter of a ROS 2 car has moved poses from the odometry's point to the tracked one: moves them back, so that what
-/// is identified is where the odometry's point lies.
-fn to_odometry_point(read: &mut Read, recording: &Recording) -> Result<()> {
+/// is identified is where the odometry's point lies. It may have sent twists.
+fn as_the_adapter_drove(read: &mut Read, recording: &Recording) -> Result<()> {
     let config = recording.attachments.get("config.toml").context("holds no configuration")?;
     let config: toml::Table = std::str::from_utf8(config)?.parse()?;
     let number = |table: &toml::Table, key: &str| table.get(key).and_then(toml::Value::as_float);
@@ -136,5 +136,7 @@ fn to_odometry_point(read: &mut Read, recording: &Recording) -> Result<()> {
         (seen.x_m, seen.y_m) = (told.x, told.y);
     }
     read.point = Point::Odometry;
+    let message = ros2.and_then(|it| it.get("drive_message")).and_then(toml::Value::as_str);
+    read.are_twists = message.is_some_and(|it| it.starts_with("twist"));
     Ok(())
 }

@@ -17,6 +17,7 @@ use crate::rows::{
 use crate::slip::{Slip, fit_slip};
 use crate::speed::Speed;
 use crate::steering::{self, HEADING, POSITION, Steering};
+use crate::units::wrong_unit;
 
 /// Which key of a vehicle's file says where the point of the recorded poses lies.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -228,6 +229,7 @@ pub fn identify(
         rows,
     };
     found.warnings = warnings(&found, &of_steering);
+    found.warnings.extend(wrong_unit(&chosen));
     found.drive_next = drive_next(&found.rows);
     Ok(found)
 }

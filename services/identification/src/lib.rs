@@ -27,6 +27,7 @@ mod rows;
 mod slip;
 mod speed;
 mod steering;
+mod units;
 
 pub use compared::{Compared, Series, Window};
 pub use drive::{Command, Drive, Odometry};
