@@ -98,6 +98,13 @@ pub(super) fn print(
     if let Some(simulated) = &it.simulated_first {
         simulated::print(simulated, config)?;
     }
+    if let Some(drives) = it.could_stop_after {
+        say!(
+            "could stop at drive {drives} of {}: from there on {} neither found nor expected a set that is better by more than 1 %",
+            it.asked,
+            it.tuner
+        );
+    }
     if let Some(of) = &it.predicted {
         say!(
             "under noise: {} {} [{}, {}] by the model of {}, with {} of the {} drives; the interval holds 95 % if the model does. \

@@ -61,6 +61,10 @@ pub struct TrainResult {
     /// would take further drives; null otherwise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub predicted: Option<OfDrives>,
+    /// After so many of its drives the tuner neither found nor expected a set that is better by more than 1 %; null if it
+    /// did until its end, or cannot tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub could_stop_after: Option<u32>,
     /// What many simulated plants and few drives say together; null if nothing was simulated first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulated_first: Option<SimulatedFirst>,

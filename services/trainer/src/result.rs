@@ -100,6 +100,7 @@ pub fn train_result(
             Some(_) => None,
         },
         noise: by_means,
+        could_stop_after: training.tuner().could_stop_after(),
         simulated_first: training.tuner().simulated_first(training.objective()),
         asked: training.asked_drives(),
         distinct: training.distinct_drives(),

@@ -31,6 +31,8 @@ pub(crate) use space::{Known, Space};
 
 /// Generations in a row without a new set, after which a set is drawn at random.
 const BARREN: u32 = 30;
+/// A search is settled while it neither finds nor expects a set that is better than the best one by more than this share.
+pub(crate) const SETTLED: f64 = 0.01;
 /// A value that is no number, or beyond this, counts as this.
 const WORST: f64 = 1e12;
 /// The normal distribution's 97.5th percentile.
@@ -55,6 +57,11 @@ pub(crate) trait Method: std::fmt::Debug + Clone + Send + Sync + 'static {
     /// without noise.
     fn predicted(&self, _space: &Space, _point: &[f64]) -> Option<(f64, f64)> {
         None
+    }
+
+    /// Whether, when it proposed last, it had no hope for a set that is better than the best one by more than [`SETTLED`].
+    fn is_settled(&self) -> bool {
+        false
     }
 
     /// All that tells it from a new one.
@@ -97,6 +104,8 @@ pub(crate) struct Search<M> {
     /// The drives of it, in the order in which they are dealt to the learners.
     slots: Vec<Slot>,
     learners: Vec<Received>,
+    /// After so many drives the search was settled, and has been since.
+    settled_after: Option<u32>,
 }
 
 impl<M: Method> Search<M> {
@@ -115,6 +124,7 @@ impl<M: Method> Search<M> {
             generation: Vec::new(),
             slots: Vec::new(),
             learners: vec![Received::default(); config.learners()],
+            settled_after: None,
         };
         search.propose();
         search
@@ -140,6 +150,9 @@ impl<M: Method> Search<M> {
                 break;
             }
             self.generation = self.method.propose(&mut self.space, room);
+            let spent = self.spent() as u32;
+            self.settled_after =
+                self.method.is_settled().then(|| self.settled_after.unwrap_or(spent));
             for point in &self.generation {
                 let is_known = !self.space.noise && self.space.find(point).is_some();
                 if !is_known && fresh.len() < room && !self.space.holds(&fresh, point) {
@@ -200,8 +213,12 @@ impl<M: Method> Tuner for Search<M> {
         }
         if self.slots.iter().all(|slot| slot.value.is_some()) {
             // In the order of the slots, whoever was served first.
+            let before = self.space.least();
             for Slot { point, value } in std::mem::take(&mut self.slots) {
                 self.space.add(&point, value.unwrap_or(WORST));
+            }
+            if self.space.least() < before * (1.0 - SETTLED) {
+                self.settled_after = None;
             }
             self.learn();
             self.propose();
@@ -224,6 +241,10 @@ impl<M: Method> Tuner for Search<M> {
         let (mean, sd) = self.method.predicted(&space, &known.point)?;
         let [predicted, low, high] = [mean, mean - Z * sd, mean + Z * sd].map(libm::exp);
         Some(OfDrives { drives: known.drives.into(), predicted, low, high })
+    }
+
+    fn could_stop_after(&self) -> Option<u32> {
+        self.settled_after
     }
 
     fn state(&self, learner: u32) -> LearnerState {

@@ -20,6 +20,7 @@ pub(super) struct Saved {
     /// Of each learner: its drives, and the best value with its set.
     learners: Vec<(u32, Option<SavedBest>)>,
     method: Vec<f64>,
+    settled_after: Option<u32>,
 }
 
 impl<M: Method> Search<M> {
@@ -38,6 +39,7 @@ impl<M: Method> Search<M> {
             slots: self.slots.iter().map(|it| (it.point.clone(), it.value)).collect(),
             learners: self.learners.iter().map(learner).collect(),
             method: self.method.state(),
+            settled_after: self.settled_after,
         }
     }
 
@@ -58,6 +60,7 @@ impl<M: Method> Search<M> {
                 .iter()
                 .all(|(it, value)| is_point(it) && value.is_none_or(f64::is_finite))
             && (saved.slots.is_empty() || saved.slots.iter().any(|(_, value)| value.is_none()))
+            && saved.settled_after.is_none_or(|it| it as usize <= self.budget)
             && saved.learners.len() == self.learners.len()
             && saved.learners.iter().all(|(drives, best)| {
                 *drives as usize <= self.budget
@@ -71,6 +74,7 @@ impl<M: Method> Search<M> {
             self.space.put(Known { point, sum, drives });
         }
         self.generation = saved.generation;
+        self.settled_after = saved.settled_after;
         let slots = saved.slots.into_iter();
         self.slots = slots.map(|(point, value)| Slot { point, value }).collect();
         let learners = saved.learners.into_iter();

@@ -46,6 +46,11 @@ impl Space {
         }
     }
 
+    /// The least value of a set that was driven; infinite before the first drive.
+    pub(crate) fn least(&self) -> f64 {
+        self.known.iter().map(Known::mean).fold(f64::INFINITY, f64::min)
+    }
+
     /// What is known of a point.
     pub(crate) fn find(&self, point: &[f64]) -> Option<&Known> {
         self.numbers.get(&self.cube.set(point).to_bits()).map(|number| &self.known[*number])

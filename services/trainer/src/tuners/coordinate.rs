@@ -41,6 +41,9 @@ pub(crate) struct Coordinate {
     /// How far from the point an axis is tried, as a share of the axis.
     span: f64,
     has_improved: bool,
+    /// The best value of all when no parameter changed by itself helped any more; infinite before that, and again once a
+    /// better one is found.
+    settled_at: f64,
     /// The points proposed last.
     tried: Vec<Point>,
 }
@@ -57,6 +60,7 @@ impl Coordinate {
             is_last_side: false,
             span: 1.0,
             has_improved: false,
+            settled_at: f64::INFINITY,
             tried: Vec::new(),
         };
         it.start(space.cube.nearest(&vec![0.5; dimensions]), space);
@@ -177,6 +181,7 @@ impl Coordinate {
                 if self.has_improved || (!is_fine && self.span >= LEAST_SPAN) {
                     self.start_round(space);
                 } else {
+                    self.settled_at = space.least();
                     let at = near_best(space);
                     self.start(at, space);
                     continue;
@@ -215,6 +220,9 @@ impl Method for Coordinate {
 
     fn learn(&mut self, values: &[f64]) {
         let mut is_better = false;
+        if values.iter().any(|value| *value < self.settled_at) {
+            self.settled_at = f64::INFINITY;
+        }
         let tried = std::mem::take(&mut self.tried);
         for (point, value) in tried.iter().zip(values) {
             if *value < self.value {
@@ -233,9 +241,13 @@ impl Method for Coordinate {
         }
     }
 
+    fn is_settled(&self) -> bool {
+        self.settled_at.is_finite()
+    }
+
     fn state(&self) -> Vec<f64> {
         let mut state = vec![self.value, self.done as f64, self.span, f64::from(self.has_improved)];
-        state.extend([f64::from(self.side), f64::from(self.is_last_side)]);
+        state.extend([f64::from(self.side), f64::from(self.is_last_side), self.settled_at]);
         state.extend(&self.at);
         state.extend(self.order.iter().map(|axis| *axis as f64));
         state.extend(self.tried.iter().flatten());
@@ -244,7 +256,7 @@ impl Method for Coordinate {
 
     fn restore(&mut self, state: &[f64]) -> bool {
         let count = self.order.len();
-        let Some((head, rest)) = state.split_at_checked(6) else { return false };
+        let Some((head, rest)) = state.split_at_checked(7) else { return false };
         if rest.len() < 2 * count || rest.len() % count != 0 {
             return false;
         }
@@ -261,7 +273,7 @@ impl Method for Coordinate {
         }
         (self.value, self.done, self.span) = (head[0], head[1] as usize, head[2]);
         self.has_improved = head[3] != 0.0;
-        (self.side, self.is_last_side) = (head[4] as i32, head[5] != 0.0);
+        (self.side, self.is_last_side, self.settled_at) = (head[4] as i32, head[5] != 0.0, head[6]);
         self.at = at.to_vec();
         self.order = order.iter().map(|axis| *axis as usize).collect();
         self.tried = tried.chunks(count).map(<[f64]>::to_vec).collect();

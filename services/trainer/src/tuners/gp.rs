@@ -48,7 +48,10 @@ const BAD: f64 = 3.0;
 pub(super) fn new(config: &RunConfig) -> Search<Gp> {
     let setting = |key: &str| config.tuner.settings.number(key) as usize;
     let (first, together) = (setting("first").max(1), setting("together").max(1));
-    Search::new(config, |space| Gp { first, together, sequence: space.sobol(), next: 0 })
+    Search::new(config, |space| {
+        let sequence = space.sobol();
+        Gp { first, together, sequence, next: 0, hope: f64::INFINITY }
+    })
 }
 
 /// The process itself follows from what is known; only the Sobol sequence has a place.
@@ -59,6 +62,8 @@ pub(crate) struct Gp {
     together: usize,
     sequence: search::Sobol,
     next: u32,
+    /// The greatest expected improvement, when it was asked for last: in the logarithm of the value.
+    hope: f64,
 }
 
 impl Method for Gp {
@@ -105,13 +110,17 @@ impl Method for Gp {
         process.predict(std::slice::from_ref(&point.to_vec())).first().copied()
     }
 
+    fn is_settled(&self) -> bool {
+        self.hope < search::SETTLED
+    }
+
     fn state(&self) -> Vec<f64> {
-        vec![f64::from(self.next)]
+        vec![f64::from(self.next), self.hope]
     }
 
     fn restore(&mut self, state: &[f64]) -> bool {
-        let [next] = state else { return false };
-        self.next = *next as u32;
+        let [next, hope] = state else { return false };
+        (self.next, self.hope) = (*next as u32, *hope);
         true
     }
 }
@@ -169,6 +178,7 @@ impl Gp {
                 }
             }
         }
+        self.hope = score.improvement;
         Some(at)
     }
 
@@ -435,6 +445,36 @@ mod tests {
             assert_eq!(bits.len(), 30, "a set was driven twice");
             let found = bowl(&tuner.recommend(&by_values));
             assert!(found <= within * least, "{sets:?}: {found}, and the least is {least}");
+        }
+    }
+
+    #[test]
+    fn a_search_says_from_which_drive_on_nothing_better_came() {
+        let value = |set: &Parameters| 0.5 + (bowl(set) - 0.5).max(0.0).sqrt();
+        for (name, drives, is_settled) in [
+            ("gp", 60, true),
+            ("gp", 10, false),
+            ("coordinate", 60, true),
+            ("coordinate", 6, false),
+        ] {
+            let sets =
+                [format!("learning.tuner={name}"), format!("tuner.settings.drives={drives}")];
+            let config = config(&sets.each_ref().map(String::as_str));
+            let mut tuner = tuners::tuner(name, &config);
+            let mut values = Vec::new();
+            drive(&mut *tuner, |ask| {
+                values.push(value(&ask.parameters));
+                values[values.len() - 1]
+            });
+            let stop = tuner.could_stop_after();
+            assert_eq!(stop.is_some(), is_settled, "{name}, {drives} drives: {stop:?}");
+            let Some(stop) = stop else { continue };
+            let least = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
+            let (until, all) = (least(&values[..stop as usize]), least(&values));
+            assert!(
+                stop < 50 && until <= all / 0.99,
+                "{name}: {until} after {stop}, {all} in the end"
+            );
         }
     }
 

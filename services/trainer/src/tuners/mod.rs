@@ -132,6 +132,12 @@ pub trait Tuner: Debug + Send + Sync {
         None
     }
 
+    /// After how many of its drives it neither found nor expected a set that is better by more than 1 %; `None` if it did
+    /// until its end, or cannot tell.
+    fn could_stop_after(&self) -> Option<u32> {
+        None
+    }
+
     /// What many simulated plants and few drives say of the set that it recommends.
     fn simulated_first(&self, _objective: &Objective) -> Option<SimulatedFirst> {
         None
@@ -240,7 +246,8 @@ mod tests {
         let mut digest = <Sha256 as sha2::Digest>::new();
         (0..tuner.learners()).for_each(|it| tuner.digest_into(it, &mut digest));
         let digest = sha2::Digest::finalize(digest);
-        (tuner.recommend(&order), format!("{:?}", tuner.story()), digest.to_vec())
+        let story = format!("{:?} {:?}", tuner.story(), tuner.could_stop_after());
+        (tuner.recommend(&order), story, digest.to_vec())
     }
 
     /// Serves one learner after the other, once each.
