@@ -38,9 +38,15 @@ struct Stamped {
 /// What a topic holds.
 #[derive(Debug)]
 enum Found {
-    /// The points of the last message with more than one.
-    Planned(Vec<[f64; 2]>),
-    Driven(Vec<[f64; 2]>),
+    /// The points of the longest message, and which one that was, of how many with more than one point; whether they differ.
+    Planned {
+        points: Vec<[f64; 2]>,
+        at: usize,
+        count: usize,
+        differ: bool,
+    },
+    /// The points where it came by, and how many poses were no numbers.
+    Driven(Vec<[f64; 2]>, usize),
     Other,
 }
 
@@ -62,8 +68,8 @@ fn read_bag(file: &File, wanted: Option<&str>) -> Result<RecordedPath> {
     let names = |pick: &dyn Fn(&Found) -> bool| -> Vec<&str> {
         topics.iter().filter(|(_, found)| pick(found)).map(|(topic, _)| topic.as_str()).collect()
     };
-    let planned = names(&|found| matches!(found, Found::Planned(_)));
-    let driven = names(&|found| matches!(found, Found::Driven(_)));
+    let planned = names(&|found| matches!(found, Found::Planned { .. }));
+    let driven = names(&|found| matches!(found, Found::Driven(..)));
     let (topic, kind) = match (&planned[..], &driven[..]) {
         ([one], _) => (*one, "nav_msgs/Path"),
         ([], [one]) => (*one, "nav_msgs/Odometry, the way that the car drove"),
@@ -79,19 +85,35 @@ fn read_bag(file: &File, wanted: Option<&str>) -> Result<RecordedPath> {
             several.iter().take(30).copied().collect::<Vec<_>>().join(", ")
         ),
     };
-    let (Some(Found::Planned(points)) | Some(Found::Driven(points))) = topics.get(topic) else {
-        bail!("has no path on {topic}");
-    };
     let mut notes = vec![format!("read {topic}, {kind}; speeds are not read")];
+    let points = match topics.get(topic) {
+        Some(Found::Planned { points, at, count, differ }) => {
+            if *differ {
+                notes.push(format!(
+                    "its {count} messages hold different paths; the longest is taken, the {}, of {:.1} m",
+                    ordinal(*at + 1),
+                    length_m(points)
+                ));
+            }
+            points
+        }
+        Some(Found::Driven(points, lost)) => {
+            if *lost > 0 {
+                notes.push(format!("{lost} of its poses are no numbers, and are left out"));
+            }
+            points
+        }
+        _ => bail!("has no path on {topic}"),
+    };
     notes.extend(cut_off.map(|why| format!("it {why}; what comes before is used")));
     Ok(RecordedPath { points: points.clone(), notes })
 }
 
 fn kind_of(data: &[u8]) -> Found {
     if decode::<Odometry>(data).is_some() {
-        Found::Driven(Vec::new())
+        Found::Driven(Vec::new(), 0)
     } else if decode::<Planned>(data).is_some() {
-        Found::Planned(Vec::new())
+        Found::Planned { points: Vec::new(), at: 0, count: 0, differ: false }
     } else {
         Found::Other
     }
@@ -100,15 +122,25 @@ fn kind_of(data: &[u8]) -> Found {
 fn add(found: &mut Found, data: &[u8]) -> Result<()> {
     let points = match found {
         Found::Other => return Ok(()),
-        Found::Planned(points) => {
+        Found::Planned { points, at, count, differ } => {
             if let Some(path) = decode::<Planned>(data).filter(|path| path.poses.len() > 1) {
-                *points = path.poses.iter().map(|it| place(&it.pose)).collect();
+                let new: Vec<[f64; 2]> = path.poses.iter().map(|it| place(&it.pose)).collect();
+                if let Some(point) = new.iter().position(|it| it.iter().any(|it| !it.is_finite())) {
+                    bail!("holds a path whose point {} is no number", point + 1);
+                }
+                *differ |= *count > 0 && new != *points;
+                // Who follows a plan shortens it on the way.
+                if *count == 0 || length_m(&new) > length_m(points) {
+                    (*points, *at) = (new, *count);
+                }
+                *count += 1;
             }
             points
         }
-        Found::Driven(points) => {
+        Found::Driven(points, lost) => {
             if let Some(odometry) = decode::<Odometry>(data) {
                 let at = place(&odometry.pose.pose);
+                *lost += usize::from(at.iter().any(|it| !it.is_finite()));
                 let is_apart = points.last().is_none_or(|last: &[f64; 2]| {
                     libm::hypot(at[0] - last[0], at[1] - last[1]) >= APART_M
                 });
@@ -121,6 +153,21 @@ fn add(found: &mut Found, data: &[u8]) -> Result<()> {
     };
     ensure!(points.len() <= MOST_POINTS, "holds more than {MOST_POINTS} points; cut it");
     Ok(())
+}
+
+fn length_m(points: &[[f64; 2]]) -> f64 {
+    points.windows(2).map(|it| libm::hypot(it[1][0] - it[0][0], it[1][1] - it[0][1])).sum()
+}
+
+/// 1st, 2nd, 3rd, 4th, …
+fn ordinal(number: usize) -> String {
+    let ending = match (number % 10, number % 100) {
+        (1, rest) if rest != 11 => "st",
+        (2, rest) if rest != 12 => "nd",
+        (3, rest) if rest != 13 => "rd",
+        _ => "th",
+    };
+    format!("{number}{ending}")
 }
 
 fn place(pose: &Pose) -> [f64; 2] {

@@ -130,8 +130,10 @@ fn zigzags(points: &[[f64; 2]]) -> bool {
 
 /// Tells where the line between two points swings far out of their straight connection: a few points tell little of it.
 fn tell_of_swings(file: &mut PathFile, path: &Resampled) {
-    /// The share of the distance of two points; between the ends of a quarter of a circle it is 0.21.
+    /// The share of the distance of two points, between the ends of a quarter of a circle it is 0.21; and what is much
+    /// for a car of any size.
     const SHARE: f64 = 0.25;
+    const MUCH_M: f64 = 1.0;
     let (mut widest_m, mut at) = (0.0, 0);
     for (point, given) in path.points.iter().zip(&path.given) {
         let (Some(a), Some(b)) = (file.points.get(*given), file.points.get(given + 1)) else {
@@ -140,7 +142,7 @@ fn tell_of_swings(file: &mut PathFile, path: &Resampled) {
         let [dx, dy] = [b[0] - a[0], b[1] - a[1]];
         let chord_m = libm::hypot(dx, dy);
         let beside_m = ((point[0] - a[0]) * dy - (point[1] - a[1]) * dx).abs() / chord_m;
-        if beside_m > SHARE * chord_m && beside_m > widest_m {
+        if beside_m > (SHARE * chord_m).min(MUCH_M) && beside_m > widest_m {
             (widest_m, at) = (beside_m, *given);
         }
     }
@@ -186,14 +188,41 @@ fn stand_at_the_end(origin: &str, file: &mut PathFile) -> Result<(), ConfigError
     let inner = if count > 2 { zeros(1, count - 1) } else { 0 };
     if inner > 0 {
         let points = if inner == 1 { "a point".to_owned() } else { format!("{inner} points") };
-        words.push(format!(
-            "at {points} between, where the reference slows to {SLOWEST_MPS} m/s for a moment, as a drive has no stops"
-        ));
+        let slows = format!("where the reference slows to {SLOWEST_MPS} m/s");
+        words.push(match longest_stop(file) {
+            Some((from, to, length_m)) => format!(
+                "at {points} between, {slows}, as a drive has no stops: from line {} to line {} it creeps along {length_m:.1} m, for \
+                 {:.0} s",
+                file.lines[from],
+                file.lines[to],
+                length_m / SLOWEST_MPS
+            ),
+            None => format!("at {points} between, {slows} for a moment, as a drive has no stops"),
+        });
     }
     if !words.is_empty() {
         file.notes.push(format!("the speed is 0 {}", words.join(", and ")));
     }
     Ok(())
+}
+
+/// The longest stretch on the way on which the speeds are 0: its first and last point, and its length, if it has one.
+fn longest_stop(file: &PathFile) -> Option<(usize, usize, f64)> {
+    let last = file.speeds_mps.len() - 1;
+    let stands = |index: usize| (1..last).contains(&index) && file.speeds_mps[index] == 0.0;
+    let mut longest: Option<(usize, usize, f64)> = None;
+    let mut from = 1;
+    while from < last {
+        let to = (from..last).take_while(|index| stands(*index)).last().unwrap_or(from);
+        let steps = file.points[from..=to].windows(2);
+        let length_m: f64 =
+            steps.map(|it| libm::hypot(it[1][0] - it[0][0], it[1][1] - it[0][1])).sum();
+        if length_m > longest.map_or(0.0, |it| it.2) {
+            longest = Some((from, to, length_m));
+        }
+        from = to + 1;
+    }
+    longest
 }
 
 /// Takes a smoothed line for the points of a file.

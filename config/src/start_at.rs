@@ -29,6 +29,12 @@ impl FromStr for StartAt {
         let numbers: Result<Vec<f64>, _> = text.split(',').map(|it| it.trim().parse()).collect();
         match numbers.as_deref() {
             Ok(numbers) if numbers.iter().any(|it| !it.is_finite()) => {}
+            Ok(&[_, _, yaw_rad]) if yaw_rad.abs() > std::f64::consts::TAU => {
+                return Err(format!(
+                    "the heading {yaw_rad} is more than a full turn; give it in radians: {yaw_rad}° is {:.4}",
+                    yaw_rad.to_radians()
+                ));
+            }
             Ok(&[x_m, y_m]) => return Ok(Self { x_m, y_m, yaw_rad: None }),
             Ok(&[x_m, y_m, yaw_rad]) => return Ok(Self { x_m, y_m, yaw_rad: Some(yaw_rad) }),
             _ => {}
@@ -148,7 +154,7 @@ mod tests {
         let mut open = resample(&[[0.0, 0.0], [10.0, 0.0], [20.0, 1.0]], &[], 1000);
         let refused = open.begin_at("p.csv", StartAt { x_m: 5.0, y_m: 0.0, yaw_rad: None });
         assert!(refused.unwrap_err().to_string().contains("p.csv is not closed"));
-        for text in ["1", "1,2,3,4", "a,b", "1,inf", ""] {
+        for text in ["1", "1,2,3,4", "a,b", "1,inf", "", "1,2,177"] {
             assert!(text.parse::<StartAt>().is_err(), "{text}");
         }
         assert_eq!("1, -2,3".parse(), Ok(StartAt { x_m: 1.0, y_m: -2.0, yaw_rad: Some(3.0) }));

@@ -108,6 +108,7 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
         is_simulated: false,
         are_twists,
         warnings,
+        ..Read::default()
     })
 }
 

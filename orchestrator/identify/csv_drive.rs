@@ -1,5 +1,6 @@
 //! A drive as comma-separated values with named columns.
 
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -25,8 +26,12 @@ pub(crate) fn read(file: &Path) -> Result<Read> {
 }
 
 fn parse(text: impl std::io::Read) -> Result<Read> {
-    let mut reader =
-        csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text);
+    let mut text = BufReader::new(text);
+    let mut reader = csv::ReaderBuilder::new()
+        .comment(Some(b'#'))
+        .trim(csv::Trim::All)
+        .delimiter(delimiter(text.fill_buf()?))
+        .from_reader(text);
     let header = reader.headers().context("is neither an MCAP file nor CSV text")?.clone();
     let mut places = [None; 8];
     for (place, (names, is_needed)) in places.iter_mut().zip(COLUMNS) {
@@ -97,13 +102,20 @@ fn parse(text: impl std::io::Read) -> Result<Read> {
     ensure!(!drive.odometry.is_empty() && !drive.commands.is_empty(), "holds no drive");
     // A gap in a yaw rate that is measured otherwise: without it, the heading's would be taken for all of the drive.
     fill_gaps(&mut drive.odometry);
-    let warnings = sampled_commands(&drive).into_iter().collect();
-    Ok(Read { drives: vec![drive], point: Point::Tracked, warnings, ..Read::default() })
+    let caveats = sampled_commands(&drive).into_iter().collect();
+    Ok(Read { drives: vec![drive], point: Point::Tracked, caveats, ..Read::default() })
+}
+
+/// What separates the names of the columns: a semicolon or a tab, if the first line has one, or else a comma.
+fn delimiter(beginning: &[u8]) -> u8 {
+    let lines = beginning.split(|byte| *byte == b'\n');
+    let header = lines.into_iter().find(|it| !it.starts_with(b"#")).unwrap_or_default();
+    [b';', b'\t'].into_iter().find(|it| header.contains(it)).unwrap_or(b',')
 }
 
 /// What to know where commands are noted in the rows of the odometry, far apart: most were given before they were noted.
 fn sampled_commands(drive: &Drive) -> Option<String> {
-    const FAR_S: f64 = 0.025;
+    const FAR_S: f64 = 0.015;
     let same = drive.odometry.len() == drive.commands.len()
         && drive.odometry.iter().zip(&drive.commands).all(|(a, b)| a.time_s == b.time_s);
     let (first, last) = (drive.commands.first()?, drive.commands.last()?);
@@ -156,6 +168,10 @@ mod tests {
         let drive = &read.drives[0];
         assert_eq!((drive.odometry.len(), drive.commands.len()), (2, 2));
         assert!(drive.odometry[0].yaw_rate_radps.is_nan());
+        for other in [";", "\t"] {
+            let others = format!("# Of Monday, May 4.\n{}", text.replace(',', other));
+            assert_eq!(parse(others.as_bytes()).unwrap().drives[0].commands, drive.commands);
+        }
         assert_eq!(drive.commands[1], Command { time_s: 0.015, steering_rad: 0.1, speed_mps: 3.0 });
     }
 
@@ -170,7 +186,7 @@ mod tests {
                     false => format!("{time_s},0,0,0,1,0.1,1\n"),
                 };
             }
-            parse(text.as_bytes()).unwrap().warnings
+            parse(text.as_bytes()).unwrap().caveats
         };
         assert!(rows(0.05, false)[0].contains("up to 50 ms too short (25 ms on average)"));
         assert!(rows(0.05, true).is_empty() && rows(0.01, false).is_empty());

@@ -30,6 +30,8 @@ pub(crate) struct Read {
     pub(crate) are_twists: bool,
     /// What the user should know of the file.
     pub(crate) warnings: Vec<String>,
+    /// What the user should know of what comes out.
+    pub(crate) caveats: Vec<String>,
 }
 
 /// Identifies a car.
@@ -44,7 +46,7 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
         wheelbase_is_measured: args.wheelbase_measured,
         is_simulated: args.simulated,
     };
-    let mut warnings = Vec::new();
+    let (mut warnings, mut caveats) = (Vec::new(), Vec::new());
     for (index, file) in args.drives.iter().enumerate() {
         let read = read(file, &vehicle, args)
             .map_err(|why| Failure::User(format!("{}: {why:#}", file.display())))?;
@@ -59,7 +61,7 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
         options.is_simulated |= read.is_simulated;
         options.wheelbase_is_measured |= read.are_twists;
         if read.are_twists {
-            warnings.push(format!(
+            caveats.push(format!(
                 "{}: a twist asks for a yaw rate, and the car turns its wheels for it by a wheelbase of its own: wheelbase_m stays \
                  {} m, by which angles become twists, and steering_gain says how much more or less the car turns",
                 file.display(),
@@ -68,6 +70,7 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
         }
         drives.extend(read.drives);
         warnings.extend(read.warnings);
+        caveats.extend(read.caveats);
     }
     let mut found = identification::identify(&drives, &vehicle, options).map_err(|why| {
         let names: Vec<String> = args.drives.iter().map(|it| it.display().to_string()).collect();
@@ -75,6 +78,7 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
         let lacks: String = warnings.iter().map(|it| format!("; {it}")).collect();
         Failure::User(format!("{}: {why}{lacks}", names.join(", ")))
     })?;
+    warnings.append(&mut caveats);
     warnings.append(&mut found.warnings);
     let refusal = refusal(&found);
     let report = commands::Identified {

@@ -61,7 +61,9 @@ pub(super) fn guess(rows: &[Vec<f64>]) -> Result<Guess, String> {
             "no header: column 1 taken as a time, columns 2, 3 as x_m, y_m".to_owned(),
         );
     }
-    if rises && is_even(&first) && varies(rows, 1) && varies(rows, 2) {
+    // Of a straight along an axis, one of the coordinates does not vary.
+    let second: Vec<f64> = rows.iter().map(|row| row[1]).collect();
+    if rises && is_even(&first) && varies(rows, 1) && (varies(rows, 2) || is_even(&second)) {
         return Err("has no header, and its first column rises evenly, as a time or a number of the row does; say which columns are \
                     x and y, as --columns x=2,y=3 or x=1,y=2"
             .to_owned());

@@ -27,6 +27,13 @@ pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigEr
     let lines = &file.lines;
     let length_m: f64 = steps.iter().sum();
     let last = file.points.len() - 1;
+    let mut sorted = steps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let median_m = sorted[(sorted.len() - 1) / 2];
+    let is_gap = |step_m: f64| step_m > (GAP_FACTOR * median_m).max(GAP_M);
+    if let Some(index) = steps.iter().position(|step_m| is_gap(*step_m)) {
+        return Err(gap(origin, &file, index, median_m, is_gap));
+    }
     if !(SHORTEST_M..=LONGEST_M).contains(&length_m) {
         let way_out = match () {
             () if length_m < SHORTEST_M && geo::looks_like_degrees(&file.points) => {
@@ -43,18 +50,6 @@ pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigEr
             LONGEST_M / 1000.0
         );
         return Err(mistake(origin, lines[last], problem));
-    }
-    let mut sorted = steps.clone();
-    sorted.sort_by(f64::total_cmp);
-    let median_m = sorted[(sorted.len() - 1) / 2];
-    let gap = steps.iter().position(|step_m| *step_m > (GAP_FACTOR * median_m).max(GAP_M));
-    if let Some(index) = gap {
-        let problem = format!(
-            "lies {:.2} m after the point of line {}, but the usual step is {median_m:.2} m; fill the gap \
-             with points",
-            steps[index], lines[index]
-        );
-        return Err(mistake(origin, lines[index + 1], problem));
     }
     if median_m > LONG_STEP_M && last >= 10 {
         file.notes.push(format!(
@@ -79,8 +74,62 @@ pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigEr
         file.notes.push(format!(
             "its end is {gap_m:.2} m from its start, and it is not closed; for laps, let it end at its first point"
         ));
+    } else if let Some(index) = full_lap(&file.points, median_m) {
+        file.notes.push(format!(
+            "it comes by its start again at line {}, and goes on; for laps, leave out the lines behind that one",
+            file.lines[index]
+        ));
     }
     Ok(file)
+}
+
+/// The mistake of a long step: a point that does not belong to the path, or points that are missing.
+fn gap(
+    origin: &str,
+    file: &PathFile,
+    index: usize,
+    median_m: f64,
+    is_gap: impl Fn(f64) -> bool,
+) -> ConfigError {
+    let (points, lines) = (&file.points, &file.lines);
+    let step_m = apart_m(points[index], points[index + 1]);
+    let behind = points.get(index + 2);
+    // A point apart from both neighbours, which lie near each other; or one at an end.
+    let alone = match behind {
+        None => Some(index + 1),
+        Some(next) if !is_gap(apart_m(points[index], *next)) => Some(index + 1),
+        Some(_) if index == 0 => Some(0),
+        Some(_) => None,
+    };
+    if let Some(alone) = alone {
+        let problem = format!(
+            "lies {step_m:.2} m from the point {} it, but the usual step is {median_m:.2} m; leave it out if it does not belong \
+             to the path, or else fill the gap with points",
+            if alone == 0 { "behind" } else { "before" },
+        );
+        return mistake(origin, lines[alone], problem);
+    }
+    let problem = format!(
+        "lies {step_m:.2} m after the point of line {}, but the usual step is {median_m:.2} m; fill the gap with points, or leave \
+         out those that do not belong to the path",
+        lines[index]
+    );
+    mistake(origin, lines[index + 1], problem)
+}
+
+/// Where a line that goes on beyond its start is nearest to it, after more than half of its way, driving in the same
+/// direction.
+fn full_lap(points: &[[f64; 2]], median_m: f64) -> Option<usize> {
+    let step = |at: usize| {
+        let (from, to) = (points[at], points[(at + 1).min(points.len() - 1)]);
+        [to[0] - from[0], to[1] - from[1]]
+    };
+    let [ax, ay] = step(0);
+    let near = (points.len() / 2..points.len() - 1).filter(|at| {
+        let [bx, by] = step(*at);
+        apart_m(points[*at], points[0]) <= median_m && ax * bx + ay * by > 0.0
+    });
+    near.min_by(|a, b| apart_m(points[*a], points[0]).total_cmp(&apart_m(points[*b], points[0])))
 }
 
 fn apart_m(a: [f64; 2], b: [f64; 2]) -> f64 {

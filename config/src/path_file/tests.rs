@@ -55,6 +55,18 @@ fn every_mistake_names_its_line_and_the_way_out() {
         "x_m,y_m\n0,0\n1,0\n2,0\n22,0\n23,0\n",
         &["p.csv:5:", "20.00 m", "line 4", "usual step is 1.00 m"],
     );
+    // A point that does not belong to the path, midway and at both ends.
+    let away = ["leave it out", "40.01 m", "usual step is 1.00 m"];
+    let all = |line| [&[line], &away[..]].concat();
+    check("x_m,y_m\n0,0\n1,0\n2,40\n3,0\n4,0\n", &all("p.csv:4:"));
+    check("x_m,y_m\n0,40\n1,0\n2,0\n3,0\n4,0\n", &all("p.csv:2:"));
+    check("x_m,y_m\n0,0\n1,0\n2,0\n3,0\n4,40\n", &all("p.csv:6:"));
+    // Before the first fix.
+    check(
+        "lat,lon\n0,0\n0,0\n48.1,11.5\n48.1001,11.5\n48.1002,11.5\n48.1003,11.5\n",
+        &["p.csv:2:", "leave it out"],
+    );
+    check("1,2,0\n2,2.5,0\n3,3,0\n4,3.5,0\n", &["rises evenly", "x=2,y=3"]);
     check("x_m,y_m\n0,0\n0.1,0\n0.9,0\n", &["p.csv:4:", "0.90 m", "1 m to 100 km"]);
     check("x_m,y_m\n0,0\n90000,0\n90000,90000\n", &["p.csv:4:", "180000.00 m"]);
     check(&format!("{}\n1", "é".repeat(500)), &["no columns", "…"]);
@@ -68,6 +80,20 @@ fn every_mistake_names_its_line_and_the_way_out() {
     let latin =
         parse("p.csv", b"x_m,y_m\n1,2\n\xe9", &PathOptions::default()).unwrap_err().to_string();
     assert!(latin.contains("p.csv:3:") && latin.contains("UTF-8"), "{latin}");
+}
+
+#[test]
+fn a_lap_that_goes_on_beyond_its_start_is_told_with_the_line_at_which_it_is_whole() {
+    let point = |it: i32| {
+        let angle = std::f64::consts::TAU * f64::from(it) / 60.0;
+        format!("{:.4},{:.4}\n", 10.0 * libm::sin(angle), 10.0 - 10.0 * libm::cos(angle))
+    };
+    let text = |last| format!("x_m,y_m\n{}", (0..=last).map(point).collect::<String>());
+    let notes = read(&text(65)).unwrap().notes.join("; ");
+    assert!(notes.contains("again at line 62, and goes on"), "{notes}");
+    for last in [60, 40] {
+        assert!(!read(&text(last)).unwrap().notes.join("; ").contains("goes on"), "{last}");
+    }
 }
 
 #[test]

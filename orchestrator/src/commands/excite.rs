@@ -93,6 +93,16 @@ pub(crate) fn excite(
         unreachable!("the words begin with drive");
     };
     let config = setup::layers(as_drive.maneuver.as_deref(), &as_drive.setup, None)?.resolve()?;
+    let options = [("--steering", "steering", steering_rad), ("--speed", "speed", speed_mps)];
+    for (option, key, value) in options {
+        let parameter = config.law.parameters.iter().find(|it| it.key == key);
+        if let Some(it) = parameter.filter(|it| !(it.min..=it.max).contains(&value)) {
+            return Err(Failure::User(format!(
+                "{option}: is {value}, but must lie in [{}, {}]",
+                it.min, it.max
+            )));
+        }
+    }
     let set = parse_sets(std::slice::from_ref(&gains), &config)?.remove(0);
     let needed = ground(&config, &set);
     match args.ground {

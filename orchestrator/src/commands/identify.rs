@@ -164,9 +164,20 @@ pub fn roll_back(file: &Path) -> Result<(), Failure> {
     let kept = kept_as(file, number);
     let text =
         config::read_small(&kept).map_err(|error| fail(format!("{}: {error}", kept.display())))?;
+    // What was edited or promoted since the write is not lost.
+    let after = file.with_file_name(format!(
+        "{}.after-{number}",
+        file.file_name().unwrap_or_default().to_string_lossy()
+    ));
+    fs::copy(file, &after)?;
     target.replace(&text)?;
     fs::remove_file(&kept)?;
-    say!("{}: is again what it was before the values were written", file.display());
+    say!(
+        "{}: is again what it was before the values were written; what it was until now, with all that was edited or promoted \
+         since, is {}",
+        file.display(),
+        after.display()
+    );
     Ok(())
 }
 

@@ -15,6 +15,10 @@ pub(crate) const Z95: f64 = 1.96;
 const AGREES: f64 = 1.0;
 /// One that is worse by this much contradicts it.
 const CONTRADICTED: f64 = 15.0;
+/// A parameter with a wider half of an interval is not even told roughly: as a logarithm, a factor of ten.
+const MOST_ROUGH: f64 = 2.3;
+/// A drive that would be no worse than this by a value without end has not seen the parameter's effect.
+const UNSEEN: f64 = 15.0;
 
 /// How wide half of an interval may be for a key to count as identified, in the coordinates of the fit.
 pub(crate) type Limit = f64;
@@ -108,7 +112,8 @@ fn best_start(
 }
 
 /// Holds one parameter after the other that the drive does not tell at the file's value, where the drive agrees with it: the
-/// least told first, because another one may be told once it is held. `open_sided` is never told roughly; `extras` are held
+/// least told first, because another one may be told once it is held. `open_sided` is never told roughly, nor told where a value
+/// without end would do as well: beside the edge of its effect, its interval is narrow. `extras` are held
 /// unless the file's value is outside of their interval: slow cars do not show them.
 fn hold_what_is_not_told<M: Held>(
     model: &mut M,
@@ -135,8 +140,12 @@ fn hold_what_is_not_told<M: Held>(
             .filter(|&index| told[index] == Told::Identified)
             .max_by(|a, b| excess(*a).total_cmp(&excess(*b)))
             .filter(|&index| excess(index) > 1.0);
-        let Some(worst) = worst else { return Some(fitted) };
-        let half = fitted.half(&[(worst, 1.0)]);
+        let worst = worst.map(|it| (it, fitted.half(&[(it, 1.0)]))).or_else(|| {
+            let open = open_sided.filter(|it| told[*it] == Told::Identified)?;
+            is_unseen(model, &weights, &at, open)
+                .then(|| (open, model.axes()[open].high - at[open]))
+        });
+        let Some((worst, half)) = worst else { return Some(fitted) };
         let before = cost(model, &weights, &at);
         let mut held = at.clone();
         held[worst] = model.axes()[worst].file;
@@ -150,12 +159,23 @@ fn hold_what_is_not_told<M: Held>(
         }
         // Held at the file's value, it would mislead the others: they are better told by a fit that leaves it free.
         model.axes_mut()[worst].free = true;
-        if open_sided != Some(worst) {
+        if open_sided != Some(worst) && half < MOST_ROUGH {
             told[worst] = Told::Roughly;
         } else if worse > CONTRADICTED {
             told[worst] = Told::Contradicted { half };
         }
     }
+}
+
+/// Whether the drive would be as well with the largest value that the parameter may have.
+fn is_unseen<M: Held>(model: &mut M, weights: &Weights, at: &[f64], index: usize) -> bool {
+    let mut end = at.to_vec();
+    end[index] = model.axes()[index].high;
+    let before = cost(model, weights, at);
+    model.axes_mut()[index].free = false;
+    let end = descend(model, weights, &end, 12);
+    model.axes_mut()[index].free = true;
+    cost(model, weights, &end) - before <= UNSEEN
 }
 
 /// Fits the speed loop.
@@ -168,7 +188,7 @@ pub(crate) fn fit_speed(
     let file = speed::of_vehicle(vehicle).to_vec();
     let mut starts = Vec::new();
     for delay_s in [0.0, 0.15, 0.3] {
-        for pedals in [-0.4, 0.5] {
+        for pedals in [-0.4, 0.0, 0.5] {
             let mut start = file.clone();
             start[speed::DELAY] = delay_s;
             start[speed::THROTTLE] += pedals;

@@ -5,9 +5,9 @@ use serde::Serialize;
 
 use crate::compared::{Compared, compared};
 use crate::computed::{Computed, computed, follows};
-use crate::drive::{Drive, Stretch, choose, stretches};
+use crate::drive::{Drive, STANDING_MPS, Stretch, choose, stretches};
 use crate::fit::{Fitted, fit_speed, fit_steering, refit};
-use crate::levenberg::white_noise_sd;
+use crate::levenberg::{median, white_noise_sd};
 use crate::prediction::{self, Car, FOLDS, Prediction, is_held_out};
 use crate::refusal::Refusal;
 use crate::rows::{
@@ -17,7 +17,7 @@ use crate::rows::{
 use crate::slip::{Slip, fit_slip};
 use crate::speed::Speed;
 use crate::steering::{self, HEADING, POSITION, Steering};
-use crate::units::wrong_unit;
+use crate::units::{wrong_unit, wrong_unit_of_odometry};
 
 /// Which key of a vehicle's file says where the point of the recorded poses lies.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -154,7 +154,13 @@ pub fn identify(
     let chosen = choose(whole, LONGEST_S);
     let moving_s = chosen.iter().map(Stretch::moving_s).fold(0.0, |sum, it| sum + it);
     if moving_s < SHORTEST_S {
-        return Err(Refusal::TooShort { moving_s, needed_s: SHORTEST_S });
+        let apart_s = usual_step_s(drives);
+        let back = chosen.iter().flat_map(|it| &it.smooth_mps).filter(|it| **it < -STANDING_MPS);
+        let is_backwards = back.count() as f64 * apart_s > moving_s;
+        return Err(Refusal::TooShort { moving_s, needed_s: SHORTEST_S, apart_s, is_backwards });
+    }
+    if let Some(wrong) = wrong_unit_of_odometry(&chosen) {
+        return Err(wrong);
     }
     let most_rad = most_steering_rad(&chosen);
     if most_rad > MOST_STEERING_RAD {
@@ -232,6 +238,13 @@ pub fn identify(
     found.warnings.extend(wrong_unit(&chosen));
     found.drive_next = drive_next(&found.rows);
     Ok(found)
+}
+
+/// The usual time between two samples of the odometry.
+fn usual_step_s(drives: &[Drive]) -> f64 {
+    let times = drives.iter().flat_map(|it| it.odometry.windows(2));
+    let mut steps: Vec<f64> = times.map(|it| it[1].time_s - it[0].time_s).collect();
+    median(&mut steps)
 }
 
 /// What to drive so that more keys show, each once.

@@ -249,7 +249,8 @@ pub(crate) fn descend(
     at
 }
 
-/// Goes downhill in several passes, each with the weights of the place where the last one ended.
+/// Goes downhill in several passes, each with the weights of the place where the last one ended. The weights that come back
+/// are those of the end: they tell what the fit leaves.
 pub(crate) fn settle(
     model: &impl Model,
     weights: Weights,
@@ -262,6 +263,7 @@ pub(crate) fn settle(
         weights = weigh(model, &at, &weights, counts);
         at = descend(model, &weights, &at, 10);
     }
+    weights = weigh(model, &at, &weights, counts);
     (at, weights)
 }
 

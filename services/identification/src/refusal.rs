@@ -11,6 +11,23 @@ pub enum Refusal {
         moving_s: f64,
         /// How long it has to.
         needed_s: f64,
+        /// The usual time between two samples of the odometry.
+        apart_s: f64,
+        /// It drives backwards.
+        is_backwards: bool,
+    },
+    /// A quantity is told in another unit.
+    WrongUnit {
+        /// The quantity.
+        what: &'static str,
+        /// How many times what another quantity says.
+        times: f64,
+        /// What says otherwise.
+        than: &'static str,
+        /// The unit in which it seems to be.
+        looks_like: &'static str,
+        /// The unit in which it has to be.
+        needed: &'static str,
     },
     /// No wheels turn as far as the commands say.
     NotRadians {
@@ -38,9 +55,22 @@ pub enum Refusal {
 impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::TooShort { moving_s, needed_s } => write!(
+            Self::TooShort { moving_s, needed_s, apart_s, is_backwards } => {
+                write!(
+                    f,
+                    "the car moves forwards for {moving_s:.1} s without a gap in the odometry, and {needed_s:.0} s are needed: "
+                )?;
+                match () {
+                    () if *apart_s > 1.0 => {
+                        write!(f, "its samples are {apart_s:.1} s apart; is their time in seconds?")
+                    }
+                    () if *is_backwards => f.write_str("this drive is one backwards"),
+                    () => f.write_str("record a longer drive, without gaps of 0.25 s or more"),
+                }
+            }
+            Self::WrongUnit { what, times, than, looks_like, needed } => write!(
                 f,
-                "the car moves for {moving_s:.1} s without a gap in the odometry, and {needed_s:.0} s are needed: record a longer drive"
+                "{what} {times:.3} times what {than} say: in {looks_like}? Give them in {needed}"
             ),
             Self::NotRadians { most_rad } => write!(
                 f,

@@ -111,7 +111,7 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
         let why = match contradicted {
             true => format!(
                 "{wide}; the file's {} does not fit the drive, which would rather have {}",
-                key.before,
+                rounded(key.before, 1e-3 * key.before.abs()),
                 rounded(value(at), 0.2 * value(at).abs())
             ),
             false => wide,

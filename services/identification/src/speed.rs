@@ -29,6 +29,8 @@ const STEP_S: f64 = 0.01;
 /// The plant's steps make the speed a function of the dead time that has a kink at each whole tick and is nearly flat just
 /// below: the slope is taken over half a tick.
 const DELAY_STEP_S: f64 = 0.0025;
+/// The largest acceleration, 30 m/s², and the largest ratio of brake to throttle, as logarithms.
+const MOST_PEDAL: f64 = 3.4;
 /// So long the speed loop's inner state tells on the speed, where the recording begins within a drive.
 const UNKNOWN_S: f64 = 4.0;
 
@@ -146,6 +148,10 @@ impl<'a> Speed<'a> {
         let axis = |index: usize| {
             let (low, high, prior_sd, step) = match index {
                 DELAY => (0.0, 0.95, 0.3, DELAY_STEP_S),
+                // No car brakes, or speeds up, as hard as that.
+                THROTTLE | BRAKE => {
+                    (prior[index] - 4.0, (prior[index] + 4.0).min(MOST_PEDAL), 1.2, 1e-5)
+                }
                 _ => (prior[index] - 4.0, prior[index] + 4.0, 1.2, 1e-5),
             };
             let is_two_sided = index == DELAY;
