@@ -75,13 +75,17 @@ pub(crate) struct SpeedLoop {
 }
 
 impl SpeedLoop {
-    /// At a steady speed.
-    fn steady(vehicle: &Vehicle, speed_mps: f64, command_mps: f64) -> Self {
-        let pedal = (vehicle.drag_per_s * speed_mps + vehicle.rolling_decel_mps2)
-            / vehicle.throttle_accel_mps2;
+    /// Midway in a drive: with the pedals that make this acceleration, as the loop presses them under this command.
+    fn midway(vehicle: &Vehicle, speed_mps: f64, accel_mps2: f64, command_mps: f64) -> Self {
+        let needed_mps2 = accel_mps2 + vehicle.drag_per_s * speed_mps + vehicle.rolling_decel_mps2;
+        let most_mps2 = match needed_mps2 >= 0.0 {
+            true => vehicle.throttle_accel_mps2,
+            false => vehicle.brake_decel_mps2,
+        };
+        let pedal = (needed_mps2 / most_mps2).clamp(-1.0, 1.0);
         let integral = (pedal - vehicle.speed_kp * (command_mps - speed_mps))
             .clamp(vehicle.speed_integral_min, vehicle.speed_integral_max);
-        Self { speed_mps, integral, throttle: pedal.clamp(0.0, 1.0), brake: 0.0 }
+        Self { speed_mps, integral, throttle: pedal.max(0.0), brake: (-pedal).max(0.0) }
     }
 
     /// One step under a command, as the plant takes it.
@@ -107,12 +111,30 @@ impl SpeedLoop {
     }
 }
 
+/// The acceleration over the first part of a stretch.
+fn first_accel_mps2(stretch: &Stretch) -> f64 {
+    const OVER_S: f64 = 0.3;
+    let (time_s, speed_mps) = (&stretch.time_s, &stretch.smooth_mps);
+    let to = time_s.partition_point(|it| *it < time_s[0] + OVER_S).min(time_s.len() - 1).max(1);
+    (speed_mps[to] - speed_mps[0]) / (time_s[to] - time_s[0])
+}
+
 /// The state of the loop at each sample.
 pub(crate) fn run(stretch: &Stretch, vehicle: &Vehicle) -> Vec<SpeedLoop> {
-    let first = stretch.commands.first().map_or(0.0, |it| it.speed_mps);
     let mut state = match stretch.from_rest {
         true => SpeedLoop::default(),
-        false => SpeedLoop::steady(vehicle, stretch.smooth_mps[0], first),
+        false => {
+            let acting_s = stretch.time_s[0] - vehicle.speed_delay_s;
+            let arrived = stretch.commands.partition_point(|it| it.time_s <= acting_s);
+            let acting = stretch.commands.get(arrived.saturating_sub(1));
+            let command_mps = acting.map_or(0.0, |it| it.speed_mps.min(vehicle.speed_limit_mps));
+            SpeedLoop::midway(
+                vehicle,
+                stretch.smooth_mps[0],
+                first_accel_mps2(stretch),
+                command_mps,
+            )
+        }
     };
     // A gear that has to engage first engages when the car begins to move.
     let moves = |speed: &f64| *speed > STANDING_MPS;
