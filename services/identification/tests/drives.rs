@@ -148,6 +148,27 @@ fn of_a_long_recording_some_minutes_are_fitted_and_it_repeats_bit_for_bit() {
     assert_eq!(found, identify(&long, &file, Options::default()).unwrap());
 }
 
+/// The speed loop is in the middle of something where a recording begins while the car changes its speed, and behind a gap.
+#[test]
+fn a_recording_that_begins_midway_or_has_gaps_tells_the_same_speed_loop() {
+    let (car, file, mut dice) = car();
+    let driven = excite(&car, &SENSORS, &mut dice);
+    let without = |from_s: f64, to_s: f64| {
+        let mut cut = driven.clone();
+        cut.odometry.retain(|it| !(from_s..to_s).contains(&it.time_s));
+        cut.commands.retain(|it| from_s > 0.0 || it.time_s >= to_s);
+        cut
+    };
+    // While it speeds up, brakes, and speeds up to twice the speed.
+    for cut in [without(0.0, 16.0), without(26.4, 27.0), without(30.3, 30.9), without(34.4, 35.0)] {
+        let found = identify(&[cut], &file, Options::default()).unwrap();
+        let (kp, throttle) = (found.vehicle.speed_kp, found.vehicle.throttle_accel_mps2);
+        assert!((kp / car.speed_kp - 1.0).abs() < 0.1, "{kp} {}", car.speed_kp);
+        assert!((throttle / car.throttle_accel_mps2 - 1.0).abs() < 0.1, "{throttle}");
+        assert!(found.predictions[1].after_m < 0.08, "{:?}", found.predictions);
+    }
+}
+
 #[test]
 fn rear_tyres_that_slip_are_found_by_fast_bends_and_others_are_left_alone() {
     let mut dice = Dice::new(8);
