@@ -64,7 +64,7 @@ impl fmt::Display for Refusal {
                     () if *apart_s > 1.0 => {
                         write!(f, "its samples are {apart_s:.1} s apart; is their time in seconds?")
                     }
-                    () if *is_backwards => f.write_str("this drive is one backwards"),
+                    () if *is_backwards => f.write_str("in this drive it goes backwards"),
                     () => f.write_str("record a longer drive, without gaps of 0.25 s or more"),
                 }
             }
