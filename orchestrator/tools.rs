@@ -25,6 +25,7 @@ pub(crate) const TOOLS: Tools = Tools {
     replay,
     margin: trainer::margin,
     ground,
+    excitation_s: tracking::EXCITATION_S,
     zone_regions: certificate::zone_regions,
     certify: crate::certify::certify,
     calibrate: crate::calibrate::calibrate,

@@ -57,6 +57,8 @@ pub struct Tools {
     /// The ground that a drive of our simulator takes with these parameters, the car's body and the way to a stop included:
     /// least and largest x, least and largest y (m), in the frame of the path.
     pub ground: fn(&RunConfig, &[Parameters]) -> [f64; 4],
+    /// How long the drive of `excite` takes, in s.
+    pub excitation_s: f64,
     /// Computes the regions to which changes of gains along a path are held.
     pub zone_regions: RegionsOf,
     /// Says what is certain of gains; returns whether what it was to verify holds.
@@ -162,7 +164,8 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Conformance(args) => return conformance(&args),
         Command::Schema(args) => commands::print_schema(&args),
         Command::Excite(args) => {
-            commands::excite(&args, services, tools.ground, of_drive).and_then(draw)
+            let excitation = (tools.excitation_s, tools.ground);
+            commands::excite(&args, services, excitation, of_drive).and_then(draw)
         }
         Command::Identify(args) => (tools.identify)(&args),
         Command::Gains(command) => commands::gains(&command, tools.margin),

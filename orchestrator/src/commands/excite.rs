@@ -15,23 +15,23 @@ use crate::words::Failure;
 use crate::words::terminal::{say, tell};
 
 /// Keys of such a drive. It follows no path, and how the car responds is what it is to find.
-const KEYS: [&str; 6] = [
+const KEYS: [&str; 5] = [
     "path.pieces=[{kind='straight',length_m=2000.0}]",
-    "drive.loop_time_s=47.0",
     "controller.compensate_dead_time=false",
     "vehicle.safety.path_distance_limit_m=inf",
     "vehicle.safety.path_heading_limit_rad=inf",
     "vehicle.safety.watch_response='off'",
 ];
 
-/// Drives what a car is identified by, and names the command that identifies it.
+/// Drives what a car is identified by, for so many seconds and on the ground that `ground` says, and names the command that
+/// identifies it.
 ///
 /// # Errors
 /// As those of `pathtune drive`; if the drive needs more ground than there is.
 pub(crate) fn excite(
     args: &ExciteArgs,
     services: Services,
-    ground: fn(&RunConfig, &[Parameters]) -> [f64; 4],
+    (lasts_s, ground): (f64, fn(&RunConfig, &[Parameters]) -> [f64; 4]),
     tools: DriveTools,
 ) -> Result<EndedRun, Failure> {
     let vehicle = vehicle_of(Path::new(&args.vehicle))?;
@@ -71,6 +71,7 @@ pub(crate) fn excite(
     for key in KEYS {
         option("--set", &key);
     }
+    option("--set", &format!("drive.loop_time_s={lasts_s:?}"));
     for key in &args.set {
         option("--set", key);
     }

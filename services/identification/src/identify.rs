@@ -129,6 +129,8 @@ const MOST_STEERING_RAD: f64 = std::f64::consts::FRAC_PI_2;
 const HORIZONS_S: [f64; 2] = [1.0, 3.0];
 /// Above this share, the measured speed is called wrong.
 const SCALE_SHARE: f64 = 0.01;
+/// Poses that are older or younger than the yaw rate by more than this are told: some ticks of a controller.
+const POSE_AGE_S: f64 = 0.02;
 
 /// The largest commanded angle, but for one command in a hundred, which may be a slip of the recorder.
 fn most_steering_rad(drive: &[Stretch]) -> f64 {
@@ -353,6 +355,19 @@ fn warnings(found: &Identification, of_steering: &Fitted) -> Vec<String> {
         let (percent, word) = (100.0 * share.abs(), if share > 0.0 { "more" } else { "less" });
         warnings.push(format!(
             "the measured speed is {percent:.1} % {word} than the poses say: check the wheel's radius or the encoder's factor"
+        ));
+    }
+    let age_s = of_steering.at[steering::POSE_AGE];
+    if age_s.abs() > POSE_AGE_S && age_s.abs() > of_steering.half(&[(steering::POSE_AGE, 1.0)]) {
+        let (one, comes, other) = match age_s > 0.0 {
+            true => ("poses", "come", "yaw rate"),
+            false => ("yaw rate", "comes", "poses"),
+        };
+        warnings.push(format!(
+            "the {one} in the odometry {comes} {:.0} ms after the {other}, which suits a slow filter; steering_delay_s is that of the \
+             yaw rate, and a controller steers by the poses: for it, the dead time is {:.3} s",
+            1e3 * age_s.abs(),
+            (of_steering.at[steering::DELAY] + age_s).max(0.0)
         ));
     }
     for row in &found.rows {

@@ -7,7 +7,8 @@
 //!   b is the bias of the gyro;
 //! - the pose in windows of 3 s: v and r integrated, with a rear axle that slips as [`crate::slip`] has found, seen at the
 //!   odometry's point p ahead of it. Each window is laid over the measured one, headings and positions, by the rigid motion
-//!   that fits best (in closed form), so that neither the start of the window nor drift counts.
+//!   that fits best (in closed form), so that neither the start of the window nor drift counts. The poses may be older than
+//!   the yaw rate: where one is measured, it tells the dead time.
 
 use config::{Vehicle, VehicleModel};
 use tracking::{SteeringActuator, Turning};
@@ -30,7 +31,10 @@ pub(crate) const MOUNTED: usize = 9;
 pub(crate) const YAW_LAG: usize = 10;
 /// Gradient of understeer. At one speed it is the same as a longer wheelbase.
 pub(crate) const UNDERSTEER: usize = 11;
-const COUNT: usize = 12;
+/// How much older the poses are than the yaw rate, in s: a filter of one of them is slower, or a simulator's pose is a part
+/// of a tick ahead of its rates.
+pub(crate) const POSE_AGE: usize = 12;
+const COUNT: usize = 13;
 /// No car has more of either.
 const MOST_S2PM: f64 = 0.05;
 
@@ -147,6 +151,8 @@ impl<'a> Steering<'a> {
         let log = libm::log;
         // The dynamic model's tyres slip by themselves.
         let slips = vehicle.model == VehicleModel::Kinematic;
+        let has_yaw_rate =
+            stretches.iter().all(|it| it.yaw_rate_radps.iter().all(|rate| rate.is_finite()));
         let axes = vec![
             axis(WHEELBASE, prior[0] - 2.0, prior[0] + 2.0, 0.7, 1e-5, !wheelbase_is_measured),
             axis(DELAY, 0.0, 0.95, 0.3, 1e-4, true),
@@ -160,9 +166,8 @@ impl<'a> Steering<'a> {
             axis(MOUNTED, -0.5, 0.5, 0.1, 1e-6, with_poses),
             axis(YAW_LAG, 0.0, MOST_S2PM, 0.02, 1e-6, with_poses && slips),
             axis(UNDERSTEER, 0.0, MOST_S2PM, 0.02, 1e-6, with_poses && slips),
+            axis(POSE_AGE, -0.3, 0.3, 0.02, 1e-4, with_poses && has_yaw_rate),
         ];
-        let has_yaw_rate =
-            stretches.iter().all(|it| it.yaw_rate_radps.iter().all(|rate| rate.is_finite()));
         let mut new = Self {
             stretches,
             vehicle: vehicle.clone(),
@@ -294,8 +299,9 @@ impl Model for Steering<'_> {
                 let weights = &weights[first..first + 3 * len];
                 let (point_m, mounted_rad) = (at[POINT], at[MOUNTED]);
                 let slip_s2pm = vehicle.rear_slip_s2pm;
+                let age_s = at[POSE_AGE];
                 let track =
-                    Track { stretch, rates: &rates, scale, point_m, slip_s2pm, mounted_rad };
+                    Track { stretch, rates: &rates, scale, point_m, slip_s2pm, mounted_rad, age_s };
                 for window in windows(stretch) {
                     let range = window.range.clone();
                     if window.moves {
@@ -320,6 +326,7 @@ struct Track<'a> {
     point_m: f64,
     slip_s2pm: f64,
     mounted_rad: f64,
+    age_s: f64,
 }
 
 impl Track<'_> {
@@ -341,9 +348,12 @@ impl Track<'_> {
                 rear_y -= out_m * cos;
                 yaw_rad += turned;
             }
-            let (sin, cos) = libm::sincos(yaw_rad);
-            heading[index] = yaw_rad;
-            (x[index], y[index]) = (rear_x + self.point_m * cos, rear_y + self.point_m * sin);
+            // Where it was when the pose was taken.
+            let yaw_then_rad = yaw_rad - self.age_s * self.rates[index];
+            let (sin, cos) = libm::sincos(yaw_then_rad);
+            let ahead_m = self.point_m - self.age_s * self.scale * stretch.smooth_mps[index];
+            heading[index] = yaw_then_rad;
+            (x[index], y[index]) = (rear_x + ahead_m * cos, rear_y + ahead_m * sin);
         }
         // Outliers must not move the window either. The tiny number keeps a window without weights defined.
         let weight = |index: usize| weights[len + index] * weights[2 * len + index] + 1e-12;

@@ -224,3 +224,23 @@ fn rear_tyres_that_slip_are_found_by_fast_bends_and_others_are_left_alone() {
     assert!(!row.identified && row.agrees && row.after == 0.0, "{row:?}");
     assert!(!found.drive_next.iter().any(|it| it.contains("as fast as")), "{:?}", found.drive_next);
 }
+
+#[test]
+fn poses_that_are_older_than_the_yaw_rate_are_told_and_do_not_bend_the_dead_time() {
+    let (car, file, mut dice) = car();
+    let mut driven = excite(&car, &SENSORS, &mut dice);
+    let fresh = driven.odometry.clone();
+    for (at, seen) in driven.odometry.iter_mut().enumerate() {
+        let old = fresh[at.saturating_sub(4)];
+        (seen.x_m, seen.y_m, seen.yaw_rad) = (old.x_m, old.y_m, old.yaw_rad);
+    }
+    let found = identify(&[driven.clone()], &file, Options::default()).unwrap();
+    let off_s = found.vehicle.steering_delay_s - car.steering_delay_s;
+    assert!(off_s.abs() < 0.003, "{off_s}");
+    let told = |it: &&String| it.starts_with("the poses in the odometry come");
+    let told = found.warnings.iter().find(told).unwrap();
+    assert!(["35 ms", "34 ms", "36 ms"].iter().any(|age| told.contains(age)), "{told}");
+    let fresh = Drive { odometry: fresh, ..driven };
+    let found = identify(&[fresh], &file, Options::default()).unwrap();
+    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+}

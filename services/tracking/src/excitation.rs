@@ -1,14 +1,14 @@
 //! What to drive so that a car's values show: standing, steering steps, a sine that gets quicker, and speed steps.
 
 /// How long it takes.
-pub const EXCITATION_S: f64 = 52.0;
+pub const EXCITATION_S: f64 = 47.0;
 
 /// The command at a time since the beginning: steering angle (rad) and speed (m/s).
 ///
 /// With A = `steering_rad`, v = `speed_mps` and all angles around `turn_rad`: 1 s standing; 3 s straight on at v; steering
-/// steps of A, −A, A/2 and −A/2, 2.5 s each; a sine of 0.48 A from 0.1 Hz to 1.5 Hz, 12 s; then speeds of 1.75 v, v, 2 v,
-/// 0.6 v and v, 10 s of 2 v and 4 s of the others, at 1.75 v with a sine of 0.72 A that takes 3 s, and at 2 v with one that
-/// takes 8 s.
+/// steps of A, −A, A/2 and −A/2, 2.5 s each; a sine of 0.48 A from 0.1 Hz to 1.5 Hz, 12 s; then speeds of 1.75 v and v for
+/// 4 s each, 2 v for 10 s and 0.6 v for 3 s, at 1.75 v with a sine of 0.72 A that takes 3 s, and at 2 v with one that takes
+/// 8 s. After that v.
 pub fn excitation(time_s: f64, steering_rad: f64, speed_mps: f64, turn_rad: f64) -> (f64, f64) {
     let (steering, speed) = match time_s {
         ..1.0 => return (0.0, 0.0),
@@ -36,7 +36,7 @@ pub fn excitation(time_s: f64, steering_rad: f64, speed_mps: f64, turn_rad: f64)
             let speed = match time_s {
                 ..30.0 => 1.75,
                 34.0..44.0 => 2.0,
-                44.0..48.0 => 0.6,
+                44.0..EXCITATION_S => 0.6,
                 _ => 1.0,
             };
             (steering, speed)

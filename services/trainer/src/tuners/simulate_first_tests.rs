@@ -170,7 +170,7 @@ fn few_drives_find_a_set_within_millimetres_of_the_best_on_cars_that_are_not_as_
         let best = all.iter().take(24).map(|it| truth(&file, &car, it.1, 12));
         let best = best.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         tried += 1;
-        let mut line = String::new();
+        let (mut line, before) = (String::new(), beyond);
         for (place, budget) in budgets.into_iter().enumerate() {
             let mut tuner = tuner.clone();
             let (set, left) = drive(&mut tuner, &car, budget);
@@ -198,10 +198,11 @@ fn few_drives_find_a_set_within_millimetres_of_the_best_on_cars_that_are_not_as_
         let of_random = truth(&file, &car, lucky, 12).1 - best.1;
         random += u64::from(of_random <= 0.005);
         println!(
-            "car {number}: best {:.4} m; mm off it after 1/5/10 drives{line}; textbook {:.1}; random after 5 {:.1}",
+            "car {number}: best {:.4} m; mm off it after 1/5/10 drives{line}; textbook {:.1}; random after 5 {:.1}; beyond 1 m {}",
             best.1,
             1000.0 * of_textbook,
-            1000.0 * of_random
+            1000.0 * of_random,
+            beyond - before
         );
     }
     let told = |name: &str, counts: &[u64], of: u64| {
