@@ -8,6 +8,7 @@ use std::path::Path as File;
 use anyhow::{Result, anyhow, bail, ensure};
 use byteorder::{BigEndian, LittleEndian};
 use config::RecordedPath;
+use recorder::reading::AnyMessage;
 use ros2_vehicle::messages::{Header, Odometry, Pose};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -57,7 +58,7 @@ pub(crate) fn read(file: &File, topic: Option<&str>) -> Result<RecordedPath, Str
 
 fn read_bag(file: &File, wanted: Option<&str>) -> Result<RecordedPath> {
     let mut topics: BTreeMap<String, Found> = BTreeMap::new();
-    let cut_off = recorder::reading::read_any(file, |topic, _, data| {
+    let cut_off = recorder::reading::read_any(file, |AnyMessage { topic, data, .. }| {
         if wanted.is_some_and(|wanted| wanted != topic) {
             topics.entry(topic.to_owned()).or_insert(Found::Other);
             return Ok(());

@@ -237,14 +237,18 @@ fn the_excitation_is_driven_and_names_the_command_that_identifies() {
     sandbox.assert_clean();
 }
 
-/// A bag with a recording's odometry, in which the car was told twists by a wheelbase.
-fn as_twists(recording: &Path, bag: &Path, wheelbase_m: f64) {
+/// A bag with a recording's odometry, in which the car was told twists by a wheelbase. `is_named`: with the type of the twists.
+fn as_twists(recording: &Path, bag: &Path, wheelbase_m: f64, is_named: bool) {
     use byteorder::LittleEndian;
     use ros2_vehicle::messages::{AckermannDriveStamped, Twist};
     let file = std::io::BufWriter::new(fs::File::create(bag).unwrap());
     let mut writer = mcap::Writer::new(file).unwrap();
-    let channels = ["/odom", "/cmd_vel"]
-        .map(|topic| writer.add_channel(0, topic, "cdr", &Default::default()).unwrap());
+    let twist = match is_named {
+        true => writer.add_schema("geometry_msgs/msg/Twist", "ros2msg", b"").unwrap(),
+        false => 0,
+    };
+    let channels = [("/odom", 0), ("/cmd_vel", twist)]
+        .map(|(topic, kind)| writer.add_channel(kind, topic, "cdr", &Default::default()).unwrap());
     let mut write = |at: usize, time_ns: u64, data: &[u8]| {
         let header = mcap::records::MessageHeader {
             channel_id: channels[at],
@@ -254,7 +258,8 @@ fn as_twists(recording: &Path, bag: &Path, wheelbase_m: f64) {
         };
         writer.write_to_known_channel(&header, data).unwrap();
     };
-    recorder::reading::read_any(recording, |topic, time_ns, data| {
+    recorder::reading::read_any(recording, |it| {
+        let (topic, time_ns, data) = (it.topic, it.log_time_ns, it.data);
         if topic == "/odom" {
             write(0, time_ns, data);
         } else if topic == "/cmd" {
@@ -284,18 +289,27 @@ fn twists_tell_how_much_the_car_turns_and_not_its_wheelbase() {
     assert!(output.status.success(), "{}", stderr(&output));
     let (file, truth) = (vehicle(&sandbox, "car.toml"), vehicle(&sandbox, "true.toml"));
     let by_m = file.wheelbase_m / 0.9;
-    as_twists(&sandbox.path("out/recording.mcap"), &sandbox.path("twists.mcap"), by_m);
-    let args = ["identify", "twists.mcap", "--vehicle", "car.toml", "--json", "--simulated"];
-    let topics = ["--odometry", "/odom", "--command", "/cmd_vel", "--command-type", "twist"];
-    let output = sandbox.run(&[&args[..], &topics].concat());
-    assert!(output.status.success(), "{}", stderr(&output));
+    let recording = sandbox.path("out/recording.mcap");
+    as_twists(&recording, &sandbox.path("twists.mcap"), by_m, false);
+    as_twists(&recording, &sandbox.path("named.mcap"), by_m, true);
+    let identify = |bag: &str, more: &[&str]| {
+        let args = ["identify", bag, "--vehicle", "car.toml", "--json", "--simulated"];
+        let topics = ["--odometry", "/odom", "--command", "/cmd_vel"];
+        let output = sandbox.run(&[&args[..], &topics, more].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        output
+    };
+    let output = identify("twists.mcap", &["--command-type", "twist"]);
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let rows = json["identification"]["rows"].as_array().unwrap();
+    // The bag itself may tell the type.
+    let named: Value = serde_json::from_slice(&identify("named.mcap", &[]).stdout).unwrap();
+    assert!(named["identification"]["rows"].as_array() == Some(rows));
     let said = stderr(&output);
     assert!(
         said.contains("asks for a yaw rate") && said.contains("wheelbase_m stays 2.2 m"),
         "{said}"
     );
-    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let rows = json["identification"]["rows"].as_array().unwrap();
     let row = |key: &str| rows.iter().find(|row| row["key"] == key);
     assert_eq!(row("wheelbase_m"), None);
     // The file's angles are 0.9 times those of the car, and its wheelbase is another.

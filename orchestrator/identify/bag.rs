@@ -8,6 +8,7 @@ use byteorder::{BigEndian, LittleEndian};
 use config::{DriveMessage, Vehicle};
 use identification::{Command, Drive, Odometry, Point};
 use orchestrator::cli::{CommandType, IdentifyArgs};
+use recorder::reading::AnyMessage;
 use ros2_vehicle::messages;
 use serde::de::DeserializeOwned;
 
@@ -21,7 +22,8 @@ const TELLING_MPS: f64 = 0.05;
 pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Result<Read> {
     let odometry_topic = args.odometry.as_deref().unwrap_or(&vehicle.ros2.odometry_topic);
     let command_topic = args.command.as_deref().unwrap_or(&vehicle.ros2.drive_topic);
-    let kind = args.command_type.unwrap_or(match vehicle.ros2.drive_message {
+    // As the file of the car says, unless the bag tells its type or the user does.
+    let mut kind = args.command_type.unwrap_or(match vehicle.ros2.drive_message {
         DriveMessage::Stamped => CommandType::Stamped,
         DriveMessage::Bare => CommandType::Bare,
         DriveMessage::Twist => CommandType::Twist,
@@ -31,7 +33,8 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
     let mut drive = Drive::default();
     let mut topics: BTreeMap<String, usize> = BTreeMap::new();
     let mut origin_ns = None;
-    let cut_off = recorder::reading::read_any(file, |topic, time_ns, data| {
+    let cut_off = recorder::reading::read_any(file, |message| {
+        let AnyMessage { topic, log_time_ns: time_ns, data, .. } = message;
         *topics.entry(topic.to_owned()).or_default() += 1;
         let origin_ns = *origin_ns.get_or_insert(time_ns);
         // From the first message on, so that nanoseconds since 1970 keep their precision.
@@ -40,6 +43,9 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
             let told: messages::Odometry = decode(data, topic, "nav_msgs/Odometry")?;
             drive.odometry.push(of_message(&told, time_s));
         } else if topic == command_topic {
+            if let (None, Some(told)) = (args.command_type, type_named(message.kind)) {
+                kind = told;
+            }
             let (steering_rad, speed_mps) = match kind {
                 CommandType::Stamped => {
                     let it: messages::AckermannDriveStamped =
@@ -109,6 +115,17 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
         are_twists,
         warnings,
         ..Read::default()
+    })
+}
+
+/// The type of a command by the name of its schema, with or without the `msg` of ROS 2.
+fn type_named(kind: &str) -> Option<CommandType> {
+    Some(match kind.replace("/msg/", "/").as_str() {
+        "ackermann_msgs/AckermannDriveStamped" => CommandType::Stamped,
+        "ackermann_msgs/AckermannDrive" => CommandType::Bare,
+        "geometry_msgs/Twist" => CommandType::Twist,
+        "geometry_msgs/TwistStamped" => CommandType::TwistStamped,
+        _ => return None,
     })
 }
 

@@ -6,16 +6,11 @@ use identification::{Identification, Row};
 
 /// The table: key, before, after, interval, verdict.
 pub(super) fn rows(found: &Identification) -> Vec<[String; 5]> {
-    let delay = found.rows.iter().find(|row| row.key == "steering_delay_s");
-    let lag = found.rows.iter().find(|row| row.key == "steering_lag_s");
-    // Where one of the two is not told, so is not their sum.
-    let both = [delay, lag].iter().all(|row| row.is_some_and(|row| row.identified));
-    let sum = both.then_some(&found.delay_and_lag);
     let mut rows = Vec::new();
     for row in &found.rows {
         rows.push(cells(row));
         if row.key == "steering_lag_s" {
-            rows.extend(sum.map(cells));
+            rows.push(cells(&found.delay_and_lag));
         }
     }
     rows

@@ -48,7 +48,7 @@ pub struct IdentifyArgs {
     /// Topic with the commands in a bag [default: ros2.drive_topic of the vehicle's file]
     #[arg(long, value_name = "TOPIC")]
     pub command: Option<String>,
-    /// Type of the commands in a bag [default: ros2.drive_message of the vehicle's file]
+    /// Type of the commands in a bag [default: as the bag says, or else ros2.drive_message of the vehicle's file]
     #[arg(long, value_name = "TYPE")]
     pub command_type: Option<CommandType>,
 }

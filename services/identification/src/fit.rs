@@ -20,6 +20,13 @@ const MOST_ROUGH: f64 = 2.3;
 /// A drive that would be no worse than this by a value without end has not seen the parameter's effect.
 const UNSEEN: f64 = 15.0;
 
+/// The place and the spread of a fit with all parameters free, but for those that a car has only where a drive proves it.
+#[derive(Debug, Clone)]
+pub(crate) struct Whole {
+    pub(crate) at: Vec<f64>,
+    spread: Spread,
+}
+
 /// How wide half of an interval may be for a key to count as identified, in the coordinates of the fit.
 pub(crate) type Limit = f64;
 
@@ -30,6 +37,8 @@ pub(crate) struct Fitted {
     pub(crate) axes: Vec<Axis>,
     pub(crate) weights: Weights,
     pub(crate) spread: Spread,
+    /// The same drive, before a parameter was held that it does not tell.
+    pub(crate) whole: Whole,
     /// By parameter: what came of it.
     pub(crate) told: Vec<Told>,
 }
@@ -52,29 +61,42 @@ pub(crate) enum Told {
         /// Half the width that it has.
         half: f64,
     },
+    /// A value without end would do as well, or nearly: it is at least so much.
+    AtLeast {
+        /// A lower one does not fit the drive.
+        least: f64,
+        /// Whether the file's value does not fit.
+        contradicted: bool,
+    },
     /// It was never to be fitted.
     Held,
 }
 
 impl Fitted {
-    /// Variance of a combination of parameters: a factor for some of them. Parameters that are held have none.
-    pub(crate) fn variance(&self, of: &[(usize, f64)]) -> f64 {
-        let mut factors = DVector::zeros(self.spread.free.len());
+    /// Variance of a combination of parameters (a factor for some of them) by a spread. Parameters that are held in it have
+    /// none.
+    fn variance(&self, spread: &Spread, of: &[(usize, f64)]) -> f64 {
+        let mut factors = DVector::zeros(spread.free.len());
         for (index, factor) in of {
-            if let Some(row) = self.spread.free.iter().position(|it| it == index) {
+            if let Some(row) = spread.free.iter().position(|it| it == index) {
                 factors[row] += factor;
             }
         }
         // Nothing is known less well than before the drive. Where a model misses something, its blocks may say so.
-        let widths = self.spread.free.iter().map(|&index| self.axes[index].prior_sd);
+        let widths = spread.free.iter().map(|&index| self.axes[index].prior_sd);
         let before: f64 =
             factors.iter().zip(widths).map(|(it, sd): (&f64, f64)| (it * sd).powi(2)).sum();
-        self.spread.variance(&factors).min(before)
+        spread.variance(&factors).min(before)
     }
 
-    /// Half the width of the 95 % interval of a combination.
+    /// Half the width of the 95 % interval of a combination, if those that are held are what the file says.
     pub(crate) fn half(&self, of: &[(usize, f64)]) -> f64 {
-        Z95 * self.variance(of).max(0.0).sqrt()
+        Z95 * self.variance(&self.spread, of).max(0.0).sqrt()
+    }
+
+    /// The same, with what those that are held leave open.
+    pub(crate) fn half_of_whole(&self, of: &[(usize, f64)]) -> f64 {
+        self.half(of).max(Z95 * self.variance(&self.whole.spread, of).max(0.0).sqrt())
     }
 }
 
@@ -114,7 +136,7 @@ fn best_start(
 /// Holds one parameter after the other that the drive does not tell at the file's value, where the drive agrees with it: the
 /// least told first, because another one may be told once it is held. `open_sided` is never told roughly, nor told where a value
 /// without end would do as well: beside the edge of its effect, its interval is narrow. `extras` are held
-/// unless the file's value is outside of their interval: slow cars do not show them.
+/// unless the file's value is outside of their interval, all others free: slow cars do not show them.
 fn hold_what_is_not_told<M: Held>(
     model: &mut M,
     mut at: Vec<f64>,
@@ -126,44 +148,69 @@ fn hold_what_is_not_told<M: Held>(
     let all = |_: usize| true;
     let told = |axis: &Axis| if axis.free { Told::Identified } else { Told::Held };
     let mut told: Vec<Told> = model.axes().iter().map(told).collect();
+    let mut extras = extras.to_vec();
+    let mut whole = None;
     loop {
         let spread = spread(model, &weights, &at)?;
+        let here = Whole { at: at.clone(), spread: spread.clone() };
         let fitted = Fitted {
             at: at.clone(),
             axes: model.axes().to_vec(),
             weights: weights.clone(),
             spread,
+            whole: whole.clone().unwrap_or_else(|| here.clone()),
             told: told.clone(),
         };
-        let excess = |index: usize| fitted.half(&[(index, 1.0)]) / limits(index, &at);
+        let half = |index: usize| fitted.half(&[(index, 1.0)]);
+        let excess = |index: usize| half(index) / limits(index, &at);
+        // Extras first, while all others are free: held too soon, these would leave what is their own to the extras.
+        extras.retain(|&it| told[it] == Told::Identified);
+        extras.sort_by(|a, b| excess(*a).total_cmp(&excess(*b)));
+        let extra = extras.pop();
+        if extra.is_none() {
+            whole.get_or_insert(here);
+        }
         let worst = (0..at.len())
             .filter(|&index| told[index] == Told::Identified)
             .max_by(|a, b| excess(*a).total_cmp(&excess(*b)))
             .filter(|&index| excess(index) > 1.0);
-        let worst = worst.map(|it| (it, fitted.half(&[(it, 1.0)]))).or_else(|| {
-            let open = open_sided.filter(|it| told[*it] == Told::Identified)?;
-            is_unseen(model, &weights, &at, open)
-                .then(|| (open, model.axes()[open].high - at[open]))
-        });
-        let Some((worst, half)) = worst else { return Some(fitted) };
+        let open = open_sided.filter(|it| told[*it] == Told::Identified);
+        let unseen = || open.filter(|&it| is_unseen(model, &weights, &at, it));
+        let Some(worst) = extra.or(worst).or_else(unseen) else { return Some(fitted) };
+        let half = half(worst);
+        let least = (open == Some(worst)).then(|| least(model, &weights, &at, worst));
+        let as_told = |contradicted: bool| match (least, contradicted) {
+            (Some(least), contradicted) => Told::AtLeast { least, contradicted },
+            (None, true) => Told::Contradicted { half },
+            (None, false) => Told::TooWide { half },
+        };
+        let is_wide = excess(worst) > 1.0;
+        let is_within = (at[worst] - model.axes()[worst].file).abs() <= half;
+        let agrees = match extra {
+            Some(_) if is_wide || is_within => f64::INFINITY,
+            Some(_) => Z95 * Z95,
+            None => AGREES,
+        };
         let before = cost(model, &weights, &at);
         let mut held = at.clone();
         held[worst] = model.axes()[worst].file;
         model.axes_mut()[worst].free = false;
         let held = descend(model, &weights, &held, 12);
         let worse = cost(model, &weights, &held) - before;
-        told[worst] = Told::TooWide { half };
-        if worse <= if extras.contains(&worst) { Z95 * Z95 } else { AGREES } {
+        if worse <= agrees {
+            told[worst] = as_told(false);
             (at, weights) = settle(model, weights, &held, 1, &all);
             continue;
         }
         // Held at the file's value, it would mislead the others: they are better told by a fit that leaves it free.
         model.axes_mut()[worst].free = true;
-        if open_sided != Some(worst) && half < MOST_ROUGH {
-            told[worst] = Told::Roughly;
-        } else if worse > CONTRADICTED {
-            told[worst] = Told::Contradicted { half };
+        if extra.is_some() {
+            continue;
         }
+        told[worst] = match open_sided != Some(worst) && half < MOST_ROUGH {
+            true => Told::Roughly,
+            false => as_told(worse > CONTRADICTED),
+        };
     }
 }
 
@@ -176,6 +223,21 @@ fn is_unseen<M: Held>(model: &mut M, weights: &Weights, at: &[f64], index: usize
     let end = descend(model, weights, &end, 12);
     model.axes_mut()[index].free = true;
     cost(model, weights, &end) - before <= UNSEEN
+}
+
+/// The least value of a parameter that fits the drive, the others where they are.
+fn least(model: &impl Model, weights: &Weights, at: &[f64], index: usize) -> f64 {
+    let before = cost(model, weights, at);
+    let mut there = at.to_vec();
+    let (mut low, mut high) = (model.axes()[index].low, at[index]);
+    for _ in 0..12 {
+        there[index] = 0.5 * (low + high);
+        match cost(model, weights, &there) - before > UNSEEN {
+            true => low = there[index],
+            false => high = there[index],
+        }
+    }
+    high
 }
 
 /// Fits the speed loop.

@@ -237,9 +237,36 @@ pub fn identify(
         rows,
     };
     found.warnings = warnings(&found, &of_steering);
+    found.warnings.extend(beyond_limits(&chosen, most_rad, vehicle));
     found.warnings.extend(wrong_unit(&chosen));
     found.drive_next = drive_next(&found.rows);
     Ok(found)
+}
+
+/// Limits of the file that the car did not have.
+fn beyond_limits(drive: &[Stretch], most_rad: f64, vehicle: &Vehicle) -> Vec<String> {
+    const ROUNDING: f64 = 1.01;
+    let fastest_mps =
+        drive.iter().flat_map(|it| &it.smooth_mps).fold(0.0_f64, |most, it| most.max(*it));
+    let wheels = (
+        most_rad,
+        vehicle.steering_limit_rad,
+        format!(
+            "commands go up to {most_rad:.3} rad, and the file's steering_limit_rad is {}: by the file, the wheels turned no \
+             further; correct it if the car's do",
+            vehicle.steering_limit_rad
+        ),
+    );
+    let speed = (
+        fastest_mps,
+        vehicle.speed_limit_mps,
+        format!(
+            "the car drove at up to {fastest_mps:.2} m/s, and the file's speed_limit_mps is {}: correct it if it may",
+            vehicle.speed_limit_mps
+        ),
+    );
+    let passed = [wheels, speed].into_iter().filter(|(most, limit, _)| *most > ROUNDING * limit);
+    passed.map(|(_, _, words)| words).collect()
 }
 
 /// The usual time between two samples of the odometry.

@@ -101,20 +101,20 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
     let told = fitted.told[key.of[0]];
     let at: f64 = key.of.iter().map(|&index| fitted.at[index]).sum();
     let factors: Vec<(usize, f64)> = key.of.iter().map(|&index| (index, 1.0)).collect();
-    let half = fitted.half(&factors);
+    let half = fitted.half_of_whole(&factors);
     let value = |at: f64| if key.is_log { libm::exp(at) } else { at };
-    let unidentified = |half: f64, contradicted: bool| {
-        let wide = match key.is_log {
-            true => format!("known to a factor of {:.2} only", libm::exp(half)),
-            false => format!("known to ± {half:.3} only"),
-        };
+    let within = |half: f64| match key.is_log {
+        true => format!("known to a factor of {:.2} only", libm::exp(half)),
+        false => format!("known to ± {half:.3} only"),
+    };
+    let unidentified = |known: String, contradicted: bool| {
         let why = match contradicted {
             true => format!(
-                "{wide}; the file's {} does not fit the drive, which would rather have {}",
+                "{known}; the file's {} does not fit the drive, which would rather have {}",
                 rounded(key.before, 1e-3 * key.before.abs()),
                 rounded(value(at), 0.2 * value(at).abs())
             ),
-            false => wide,
+            false => known,
         };
         Row {
             key: key.name,
@@ -130,9 +130,19 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
         }
     };
     match told {
-        Told::TooWide { half } => unidentified(half, false),
-        Told::Contradicted { half } => unidentified(half, true),
-        Told::Held => Row { why: Some("not looked for".to_owned()), ..unidentified(0.0, false) },
+        Told::TooWide { half } => unidentified(within(half), false),
+        Told::Contradicted { half } => unidentified(within(half), true),
+        Told::AtLeast { least, contradicted } => {
+            let least = value(least);
+            unidentified(
+                format!(
+                    "at least {}; the wheels did not turn as fast as they can",
+                    rounded(least, least)
+                ),
+                contradicted,
+            )
+        }
+        Told::Held => unidentified("not looked for".to_owned(), false),
         Told::Identified | Told::Roughly => {
             let interval = [value(at - half), value(at + half)];
             Row {
@@ -271,20 +281,29 @@ fn not_negative(row: &mut Row) {
     }
 }
 
-/// Dead time and lag of the steering together.
+/// A sum of dead time and lag that is not known better than this is not identified.
+const WIDEST_SUM_S: f64 = 0.03;
+
+/// Dead time and lag of the steering together: also where the drive does not tell the two apart, so that one of them has to
+/// stay what the file says.
 pub(crate) fn delay_and_lag(fitted: &Fitted, vehicle: &Vehicle) -> Row {
-    let lag_s = libm::exp(fitted.at[steering::LAG]);
-    let half = fitted.half(&[(steering::DELAY, 1.0), (steering::LAG, lag_s)]);
-    let after = fitted.at[steering::DELAY] + lag_s;
+    let are_told =
+        [steering::DELAY, steering::LAG].iter().all(|it| fitted.told[*it] == Told::Identified);
+    let at = if are_told { &fitted.at } else { &fitted.whole.at };
+    let lag_s = libm::exp(at[steering::LAG]);
+    let half = fitted.half_of_whole(&[(steering::DELAY, 1.0), (steering::LAG, lag_s)]);
+    let sum_s = at[steering::DELAY] + lag_s;
+    let before = vehicle.steering_delay_s + vehicle.steering_lag_s;
+    let is_known = half <= WIDEST_SUM_S;
     Row {
         key: "steering_delay_s + steering_lag_s",
-        before: vehicle.steering_delay_s + vehicle.steering_lag_s,
-        after: rounded(after, half),
-        interval: Some([(after - half).max(0.0), after + half]),
-        identified: true,
+        before,
+        after: if is_known { rounded(sum_s, half) } else { before },
+        interval: is_known.then_some([(sum_s - half).max(0.0), sum_s + half]),
+        identified: is_known,
         roughly: false,
         only_with: None,
-        why: None,
+        why: (!is_known).then(|| format!("known to ± {half:.3} only")),
         contradicted: false,
         agrees: false,
     }
@@ -312,8 +331,8 @@ pub(crate) fn speed_rows(fitted: &Fitted, vehicle: &Vehicle) -> Vec<Row> {
         let scale =
             if throttle.identified { fitted.at[THROTTLE] } else { fitted.axes[THROTTLE].prior };
         let half = match throttle.identified {
-            true => fitted.half(&[(index, 1.0), (THROTTLE, sign)]),
-            false => fitted.half(&[(index, 1.0)]),
+            true => fitted.half_of_whole(&[(index, 1.0), (THROTTLE, sign)]),
+            false => fitted.half_of_whole(&[(index, 1.0)]),
         };
         let at = fitted.at[index] + sign * scale;
         let interval = [libm::exp(at - half), libm::exp(at + half)];

@@ -244,3 +244,17 @@ fn poses_that_are_older_than_the_yaw_rate_are_told_and_do_not_bend_the_dead_time
     let found = identify(&[fresh], &file, Options::default()).unwrap();
     assert!(found.warnings.is_empty(), "{:?}", found.warnings);
 }
+
+#[test]
+fn limits_of_the_file_that_the_car_does_not_have_are_told() {
+    let (car, mut file, mut dice) = car();
+    let driven = excite(&car, &SENSORS, &mut dice);
+    (file.steering_limit_rad, file.speed_limit_mps) = (0.2, 3.0);
+    let found = identify(&[driven], &file, Options::default()).unwrap();
+    for told in [
+        "commands go up to 0.250 rad, and the file's steering_limit_rad is 0.2",
+        "speed_limit_mps is 3:",
+    ] {
+        assert!(found.warnings.iter().any(|it| it.contains(told)), "{:?}", found.warnings);
+    }
+}

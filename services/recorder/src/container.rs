@@ -25,6 +25,7 @@ const UNPACKED_PER_BYTE: u64 = 1000;
 const UNPACKED_AT_LEAST: u64 = 64 << 20;
 
 const FOOTER: u8 = 0x02;
+const SCHEMA: u8 = 0x03;
 const CHANNEL: u8 = 0x04;
 const MESSAGE: u8 = 0x05;
 const CHUNK: u8 = 0x06;
@@ -35,7 +36,8 @@ const DATA_END: u8 = 0x0f;
 /// A record that says something about a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Record<'a> {
-    Channel { id: u16, topic: &'a str },
+    Schema { id: u16, name: &'a str },
+    Channel { id: u16, schema: u16, topic: &'a str },
     Message { channel: u16, log_time_ns: u64, data: &'a [u8] },
     Metadata { name: &'a str, entries: BTreeMap<String, String> },
     Attachment { name: &'a str, data: &'a [u8] },
@@ -212,9 +214,10 @@ fn next_record<'a>(records: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
 fn parse(opcode: u8, body: &[u8]) -> Option<Option<Record<'_>>> {
     let mut fields = Fields(body);
     Some(Some(match opcode {
+        SCHEMA => Record::Schema { id: fields.u16()?, name: fields.text()? },
         CHANNEL => {
-            let (id, _schema) = (fields.u16()?, fields.u16()?);
-            Record::Channel { id, topic: fields.text()? }
+            let (id, schema) = (fields.u16()?, fields.u16()?);
+            Record::Channel { id, schema, topic: fields.text()? }
         }
         MESSAGE => {
             let (channel, _sequence) = (fields.u16()?, fields.u32()?);

@@ -59,24 +59,44 @@ pub fn is_ours(path: &Path) -> Result<bool> {
     Ok(ours.unwrap_or(false))
 }
 
-/// Reads any MCAP file, and gives its messages to `take` one after the other: topic, time of arrival, and bytes. Returns why
-/// reading ended before the end, if it did, as the end of a sentence about the file.
+/// A message of any MCAP file.
+#[derive(Debug, Clone, Copy)]
+pub struct AnyMessage<'a> {
+    /// Its topic.
+    pub topic: &'a str,
+    /// The name of its type, as in `nav_msgs/msg/Odometry`; empty if the file does not say.
+    pub kind: &'a str,
+    /// When it arrived.
+    pub log_time_ns: u64,
+    /// Its bytes.
+    pub data: &'a [u8],
+}
+
+/// Reads any MCAP file, and gives its messages to `take` one after the other. Returns why reading ended before the end, if it
+/// did, as the end of a sentence about the file.
 ///
 /// # Errors
 /// If it cannot be read at all; or that of `take`.
 pub fn read_any(
     path: &Path,
-    mut take: impl FnMut(&str, u64, &[u8]) -> Result<()>,
+    mut take: impl FnMut(AnyMessage<'_>) -> Result<()>,
 ) -> Result<Option<String>> {
-    let (mut channels, mut kept) = (BTreeMap::new(), Kept::default());
+    let (mut channels, mut kinds, mut kept) = (BTreeMap::new(), BTreeMap::new(), Kept::default());
     let end = scan(path, |record| match record {
-        Record::Channel { id, topic } => {
+        Record::Schema { id, name } => {
+            kept.note(name.len())?;
+            kinds.insert(id, name.to_owned());
+            Ok(())
+        }
+        Record::Channel { id, schema, topic } => {
             kept.note(topic.len())?;
-            channels.insert(id, topic.to_owned());
+            channels.insert(id, (topic.to_owned(), schema));
             Ok(())
         }
         Record::Message { channel, log_time_ns, data } => {
-            take(channels.get(&channel).map_or("", String::as_str), log_time_ns, data)
+            let (topic, schema) = channels.get(&channel).map_or(("", 0), |it| (&it.0, it.1));
+            let kind = kinds.get(&schema).map_or("", String::as_str);
+            take(AnyMessage { topic, kind, log_time_ns, data })
         }
         _ => Ok(()),
     })?;
@@ -164,7 +184,8 @@ impl Recording {
         take: &mut impl FnMut(&str, u64, &[u8]) -> Result<()>,
     ) -> Result<()> {
         match record {
-            Record::Channel { id, topic } => {
+            Record::Schema { .. } => {}
+            Record::Channel { id, topic, .. } => {
                 kept.note(topic.len())?;
                 channels.insert(id, topic.to_owned());
             }
