@@ -347,5 +347,24 @@ fn what_is_no_path_is_named() {
     {
         has(&refused(&sandbox, text, &[]), &["p.csv:1", what]);
     }
+    let told = refused(&sandbox, "0,0\n9,0\n", &["--path-topic", "/plan"]);
+    has(&told, &["--path-topic with --path p.csv", "only a bag"]);
+    fs::write(sandbox.path("bag.mcap"), b"\x89MCAP0\r\n").unwrap();
+    let args = ["drive", "--path", "bag.mcap", "--columns", "x=1,y=2"];
+    let output = sandbox.run(&[&args[..], &GAINS].concat());
+    assert_eq!(output.status.code(), Some(64));
+    has(
+        &String::from_utf8_lossy(&output.stderr),
+        &["--columns with --path bag.mcap", "no columns"],
+    );
+    sandbox.assert_clean();
+}
+
+#[test]
+fn what_a_vehicle_s_file_leaves_out_is_told_once_and_is_no_progress() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("mine.toml"), "name = \"mine\"\nwheelbase_m = 2.0\n").unwrap();
+    let driven = drive(&sandbox, "0,0\n30,0\n", &["--vehicle", "mine.toml"]);
+    assert_eq!(driven.told.matches("the values of another car").count(), 1, "{}", driven.told);
     sandbox.assert_clean();
 }

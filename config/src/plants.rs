@@ -199,11 +199,19 @@ impl RunConfig {
         }
         // At the reference's speed, a gradient of understeer acts like a longer wheelbase.
         let longer_m = MORE_UNDERSTEER_S2PM * self.reference.speed_mps * self.reference.speed_mps;
-        let late = |s: f64| [("steering_delay_s", s), ("speed_delay_s", s)];
+        let late = |ms: u32| {
+            let s = f64::from(ms) / 1000.0;
+            let later = [("steering_delay_s", s), ("speed_delay_s", s)];
+            PlantChange::new(&format!("dead times +{ms} ms"), &later, &[])
+        };
+        // A drive that told the dead time to some milliseconds leaves no room for 60 more, and a choice that allows for them
+        // stays farther from the path than it has to.
+        let [late, later] =
+            if uncertainty.tells_dead_time() { [10, 20] } else { [30, 60] }.map(late);
         let around = [
             PlantChange::new("as in the vehicle's file", &[], &[]),
-            PlantChange::new("dead times +30 ms", &late(0.03), &[]),
-            PlantChange::new("dead times +60 ms", &late(0.06), &[]),
+            late,
+            later,
             PlantChange::new("steering rate × 0.8", &[], &[("steering_rate_radps", 0.8)]),
             PlantChange::new("steering lag +50 ms", &[("steering_lag_s", 0.05)], &[]),
             PlantChange::new("understeer +0.004 s²/m", &[("wheelbase_m", longer_m)], &[]),
@@ -345,7 +353,7 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Layers;
+    use crate::{Layers, Spread};
 
     fn config(sets: &[&str]) -> Result<RunConfig, crate::ConfigError> {
         let mut layers = Layers::maneuver("roundabout").unwrap();
@@ -375,6 +383,24 @@ mod tests {
         // Not beyond what the supervisor lets pass.
         let fast = config(&["over.by=mean", "reference.speed_mps=7.0"]).unwrap();
         assert_eq!(fast.plants(), 8);
+    }
+
+    #[test]
+    fn a_dead_time_that_a_drive_has_told_is_believed_more() {
+        let names = |half_s: f64, identified: bool| {
+            let mut config = config(&[]).unwrap();
+            let stated = &mut config.vehicle.uncertainty;
+            stated.identified = identified;
+            let delay_s = config.vehicle.steering_delay_s;
+            let interval = Spread::Between([delay_s - half_s, delay_s + half_s]);
+            stated.within.insert("steering_delay_s".to_owned(), interval);
+            let changes = config.plant_changes();
+            [changes[1].name.clone(), changes[2].name.clone()]
+        };
+        assert_eq!(names(0.005, true), ["dead times +10 ms", "dead times +20 ms"]);
+        assert_eq!(names(0.03, true), ["dead times +30 ms", "dead times +60 ms"]);
+        // What a user states is drawn from.
+        assert_eq!(names(0.005, false)[0], "drawn 1");
     }
 
     #[test]

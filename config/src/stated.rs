@@ -93,6 +93,14 @@ pub enum Spread {
 }
 
 impl Spread {
+    /// Half the width.
+    fn half(self) -> f64 {
+        match self {
+            Self::HalfWidth(half) => half,
+            Self::Between([low, high]) => 0.5 * (high - low),
+        }
+    }
+
     /// The interval around a value.
     fn around(self, value: f64) -> [f64; 2] {
         match self {
@@ -102,6 +110,9 @@ impl Spread {
     }
 }
 
+/// A dead time with at most this on either side of it is told well.
+const MOST_LATE_S: f64 = 0.02;
+
 /// The number of plants that intervals become if the file does not say.
 const DEFAULT_PLANTS: u32 = 16;
 
@@ -109,6 +120,12 @@ impl Uncertainty {
     /// Whether nothing is stated.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// Whether `pathtune identify` has told the steering's dead time well enough that the default plants need not allow for much.
+    pub(crate) fn tells_dead_time(&self) -> bool {
+        let told = self.within.get("steering_delay_s").filter(|_| self.identified);
+        told.is_some_and(|it| it.half() <= MOST_LATE_S)
     }
 
     /// The plants that the intervals of a user become: the vehicle itself, and then one for each point of an evenly spread

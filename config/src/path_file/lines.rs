@@ -48,7 +48,7 @@ impl Delimiter {
 
     fn all_fields(self, line: &str) -> Vec<&str> {
         let all: Vec<&str> = match self {
-            Self::Sign(sign) => line.split(sign).collect(),
+            Self::Sign(sign) => split_outside_quotes(line, sign),
             Self::Space => line.split_whitespace().collect(),
         };
         all.into_iter().map(bare).collect()
@@ -63,6 +63,17 @@ impl Delimiter {
             Self::Space => "spaces",
         }
     }
+}
+
+/// The parts of a line between a sign that stands in no quotes. Quotes that do not come in pairs are signs as any other.
+fn split_outside_quotes(line: &str, sign: char) -> Vec<&str> {
+    let is_paired = line.matches('"').count().is_multiple_of(2);
+    let mut is_quoted = false;
+    line.split(|c: char| {
+        is_quoted ^= c == '"' && is_paired;
+        c == sign && !is_quoted
+    })
+    .collect()
 }
 
 /// A field without quotes, and a number without brackets; a name keeps its unit in brackets.

@@ -81,12 +81,8 @@ pub(super) fn read(origin: &str, text: &str, options: &PathOptions) -> Result<Ra
 
 /// Whether a line's first field, and most of the others, are numbers.
 fn is_numbers(line: &str) -> bool {
-    let delimiter = Delimiter::of(line);
-    let fields = delimiter.fields(line);
-    let numbers = fields
-        .iter()
-        .filter(|field| lines::number(field, delimiter != Delimiter::Sign(',')).is_some())
-        .count();
+    let fields = Delimiter::of(line).fields(line);
+    let numbers = fields.iter().filter(|field| lines::number(field, true).is_some()).count();
     2 * numbers >= fields.len() && numbers > 0
 }
 
@@ -126,10 +122,11 @@ struct Table<'a> {
 }
 
 impl Table<'_> {
-    /// Whether the numbers have decimal commas: the comma separates nothing, stands in some field, and no point does.
+    /// Whether the numbers have decimal commas: a comma stands in some field that is a number with it, and no point does.
     fn has_decimal_commas(&self) -> bool {
-        self.delimiter != Delimiter::Sign(',')
-            && self.data.iter().any(|(_, line)| line.contains(','))
+        let is_decimal = |field: &&str| field.contains(',') && lines::number(field, true).is_some();
+        let fields = |line: &'_ str| self.delimiter.fields(line).iter().any(is_decimal);
+        self.data.iter().any(|(_, line)| fields(line))
             && !self.data.iter().any(|(_, line)| line.contains('.'))
     }
 

@@ -172,6 +172,8 @@ fn tables_of_many_tools_are_read_and_told() {
     check("1;2\n3;-4.5\n", &[], "columns 1, 2");
     check("1;2\n3;-4,5\n", &[], "decimals are taken to stand after a comma");
     check("1,0 2,0\n3,0 -4,5\n", &[], "after a comma");
+    check("\"1,0\",\"2,0\"\n\"3,0\",\"-4,5\"\n", &[], "after a comma");
+    check("name,x,y\n\"Oak St., 5\",1,2\n\"5\" pipe\",3,-4.5\n", &[], "x");
     check("(1, 2)\n(3, -4.5)\n", &[], "columns 1, 2");
     check(
         "1,2,0.5\n3,-4.5,0.5\n",

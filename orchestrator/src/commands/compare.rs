@@ -30,9 +30,7 @@ pub fn compare_configs(args: &CompareArgs) -> Result<Vec<Vec<RunConfig>>, Failur
     if laws.is_empty() {
         laws.push(args.law.as_deref());
     }
-    let mut quiet = false;
-    let mut config =
-        |law, tuner: &&str| config_of(args, law, tuner, std::mem::replace(&mut quiet, true));
+    let config = |law, tuner: &&str| config_of(args, law, tuner);
     laws.into_iter().map(|law| tuners.iter().map(|tuner| config(law, tuner)).collect()).collect()
 }
 
@@ -45,16 +43,10 @@ fn check_once(option: &str, names: &[String]) -> Result<(), Failure> {
     }
 }
 
-fn config_of(
-    args: &CompareArgs,
-    law: Option<&str>,
-    tuner: &str,
-    quiet: bool,
-) -> Result<RunConfig, Failure> {
+fn config_of(args: &CompareArgs, law: Option<&str>, tuner: &str) -> Result<RunConfig, Failure> {
     let sources = Sources {
         path: args.path.as_deref(),
         reading: &args.reading,
-        tells_of_path: !quiet,
         vehicle: args.vehicle.as_deref(),
         law,
         objective: args.objective.as_deref(),
@@ -62,7 +54,6 @@ fn config_of(
         laps: None,
         start: None,
         set: &args.set,
-        quiet: args.quiet || quiet,
     };
     let mut layers = setup::layers(args.maneuver.as_deref(), sources, Some(tuner))?;
     if let Some(seed) = args.seed {

@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use crate::runs::vehicle_file::VehicleFile;
 use crate::words::Failure;
 use crate::words::tables::table_of;
-use crate::words::terminal::{say, tell};
+use crate::words::terminal::{say, tell, tell_once};
 
 /// What was identified, ready to be printed.
 #[derive(Debug, Clone)]
@@ -43,7 +43,7 @@ pub fn vehicle_of(file: &Path) -> Result<Vehicle, Failure> {
     let mut layers = Layers::maneuver("lane_change")?;
     layers.set_vehicle("--vehicle", name)?;
     if let Some(borrowed) = layers.borrowed() {
-        tell!("pathtune: {borrowed}");
+        tell_once(&borrowed);
     }
     Ok(layers.resolve()?.vehicle)
 }

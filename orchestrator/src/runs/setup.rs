@@ -18,7 +18,7 @@ use crate::pipeline::restart::Budget;
 use crate::pipeline::services::Services;
 use crate::pipeline::strays::sweep_dead_runs;
 use crate::runs::{folder, preflight};
-use crate::words::terminal::tell;
+use crate::words::terminal::tell_once;
 use crate::words::{Failure, known};
 
 /// Where the keys of a configuration come from, in the order in which they are laid upon each other but for the path.
@@ -33,9 +33,6 @@ pub(crate) struct Sources<'a> {
     pub(crate) laps: Option<u32>,
     pub(crate) start: Option<StartAt>,
     pub(crate) set: &'a [String],
-    pub(crate) quiet: bool,
-    /// Whether to tell how the path's file was read: that is no progress, and told in quiet runs, too.
-    pub(crate) tells_of_path: bool,
 }
 
 impl<'a> From<&'a SetupArgs> for Sources<'a> {
@@ -50,8 +47,6 @@ impl<'a> From<&'a SetupArgs> for Sources<'a> {
             laps: args.laps,
             start: args.start,
             set: &args.set,
-            quiet: args.quiet,
-            tells_of_path: true,
         }
     }
 }
@@ -104,15 +99,12 @@ pub(crate) fn layers<'a>(
     for assignment in after {
         layers.set(assignment)?;
     }
-    // A configuration with a mistake has one message, that of the mistake.
-    let borrowed = layers.borrowed().filter(|_| !args.quiet);
-    let notes = if args.tells_of_path { layers.notes() } else { &[] };
-    let lines: Vec<&str> =
-        borrowed.as_deref().into_iter().chain(notes.iter().map(String::as_str)).collect();
-    if !lines.is_empty() && layers.clone().resolve().is_ok() {
-        for line in lines {
-            tell!("pathtune: {line}");
-        }
+    // A configuration with a mistake has one message, that of the mistake. How files were read, and what they leave out, is
+    // no progress: it is told in quiet runs, too.
+    let borrowed = layers.borrowed();
+    let notes: Vec<&String> = borrowed.iter().chain(layers.notes()).collect();
+    if !notes.is_empty() && layers.clone().resolve().is_ok() {
+        notes.into_iter().for_each(|note| tell_once(note));
     }
     Ok(layers)
 }
@@ -137,8 +129,19 @@ pub(crate) fn add_path(
 ) -> Result<(), Failure> {
     let options = reading.options();
     let Some(reader) = BAGS.get().filter(|_| is_mcap(path)) else {
+        if reading.path_topic.is_some() {
+            let problem = "only a bag of ROS 2 in MCAP has topics, and this file is none; leave the option out";
+            return Err(Failure::User(format!(
+                "--path-topic with --path {}: {problem}",
+                path.display()
+            )));
+        }
         return Ok(layers.add_path_with(path, start, &options)?);
     };
+    if reading.columns.is_some() {
+        let problem = "a bag has no columns; choose its topic with --path-topic";
+        return Err(Failure::User(format!("--columns with --path {}: {problem}", path.display())));
+    }
     let recorded = reader(path, reading.path_topic.as_deref()).map_err(Failure::User)?;
     Ok(layers.add_recorded_path(path, recorded, start, &options)?)
 }

@@ -1,6 +1,8 @@
 //! Output for the user, over streams that may be closed or full.
 
+use std::collections::BTreeSet;
 use std::io::{self, Write};
+use std::sync::Mutex;
 
 use crate::words::Failure;
 
@@ -37,6 +39,14 @@ pub fn print_line(line: &str) -> Result<(), Failure> {
 /// Writes a line to standard error.
 pub(crate) fn write_err(line: &str) {
     let _ = writeln!(io::stderr(), "{line}");
+}
+
+/// Writes a note to standard error, unless this process has told it already: what is read twice is told once.
+pub(crate) fn tell_once(note: &str) {
+    static TOLD: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    if TOLD.lock().is_ok_and(|mut told| told.insert(note.to_owned())) {
+        write_err(&format!("pathtune: {note}"));
+    }
 }
 
 /// Prints how a command failed: one line, whatever a file name or a foreign program put into it.
