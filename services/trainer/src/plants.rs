@@ -50,11 +50,7 @@ impl Plausible {
 
     /// The drive of a set with the vehicle as its file has it, and the speed at which Δ counts.
     fn plain(&mut self, set: &Parameters) -> (DriveRecord, f64) {
-        let mut speeds = Vec::new();
-        let plain = self.plain.drive_with(*set, None, |_, tick| {
-            speeds.push(tick.observation.speed_mps);
-        });
-        (plain, held_speed_mps(&speeds, self.nominal.drive.tick_s, HELD_S))
+        plain(&mut self.plain, set, self.nominal.drive.tick_s)
     }
 
     /// The first plant that shows a set to be fragile, if one does.
@@ -76,6 +72,23 @@ impl Plausible {
         let drives = self.drive(set);
         self.why_fragile(&plain, &drives).is_some()
     }
+}
+
+/// A drive of a set, and the speed at which Δ counts.
+fn plain(rollout: &mut Rollout, set: &Parameters, tick_s: f64) -> (DriveRecord, f64) {
+    let mut speeds = Vec::new();
+    let drive = rollout.drive_with(*set, None, |_, tick| speeds.push(tick.observation.speed_mps));
+    (drive, held_speed_mps(&speeds, tick_s, HELD_S))
+}
+
+/// Which share lacks of the additional dead time that a set has to have in order not to be fragile; 0 if it is not known.
+pub(crate) fn lacking_margin(config: &RunConfig, set: &Parameters) -> f64 {
+    let over = config::Over { by: OverBy::Nominal, ..config.over.clone() };
+    let nominal = RunConfig { over, ..config.clone() };
+    let (_, speed_mps) = plain(&mut Rollout::new(&nominal), set, nominal.drive.tick_s);
+    let margin = additional_dead_time(&nominal, set, speed_mps);
+    let has_s = margin.additional_dead_time_s.unwrap_or(f64::INFINITY);
+    (1.0 - has_s / margin.fragile_below_s).max(0.0)
 }
 
 /// What a set does on the plants of the configuration, beside sets that are nominally about as good. `near` are these

@@ -1,7 +1,8 @@
 use config::{Layers, Parameters, RunConfig};
 use rollout::Rollout;
+use tracking::DriveRecord;
 
-use super::{HELD_S, additional_dead_time, held_speed_mps};
+use super::{HELD_S, additional_dead_time, held_speed_mps, lacking_margin};
 
 #[test]
 fn a_speed_counts_that_is_held_and_not_the_peak_of_a_moment() {
@@ -15,6 +16,32 @@ fn a_speed_counts_that_is_held_and_not_the_peak_of_a_moment() {
     // A drive that is shorter than that holds its least speed.
     assert_eq!(held_speed_mps(&speeds, 0.01, 60.0), 0.0);
     assert_eq!(held_speed_mps(&[], 0.01, 1.0), 0.0);
+}
+
+#[test]
+fn over_plants_a_set_without_margin_counts_as_worse_to_a_search() {
+    let config = |over: &str| {
+        let mut layers = Layers::maneuver("roundabout").unwrap();
+        layers.set_tuner("test", "random").unwrap();
+        layers.set(over).unwrap();
+        layers.resolve().unwrap()
+    };
+    let over = config("over.by=mean");
+    let fragile = Parameters::of(&[5.8, 11.0, 11.0, 0.98]);
+    let steady = Parameters::of(&[5.8, 21.0, 21.0, 0.91]);
+    assert!(lacking_margin(&over, &fragile) > 0.1 && lacking_margin(&over, &steady) == 0.0);
+    // Sets that lack some margin are a little better by their drives.
+    let recommended = |config: &RunConfig| {
+        let mut tuner = crate::tuners::tuner("random", config);
+        for _ in 0..12 {
+            let ask = tuner.wanted(0).unwrap();
+            let lacks = lacking_margin(config, &ask.parameters) > 0.1;
+            tuner.tell(&ask, &DriveRecord::default(), if lacks { 0.5 } else { 0.6 });
+        }
+        let set = tuner.recommend(&|_, _| std::cmp::Ordering::Equal);
+        lacking_margin(config, &set) > 0.1
+    };
+    assert!(!recommended(&over) && recommended(&config("over.by=nominal")));
 }
 
 /// Of the drives of some sets with noise, how many are bad, and how many are found fragile at the speed held for a while.

@@ -14,13 +14,14 @@ mod space;
 
 use std::cmp::Ordering;
 
-use config::{Parameters, RunConfig};
+use config::{OverBy, Parameters, RunConfig};
 use outcome::{LearnerSummary, OfDrives};
 use sha2::{Digest, Sha256};
 use tracking::DriveRecord;
 
 use crate::digest::add_parameters;
 use crate::packing::{from_bytes, to_bytes};
+use crate::plants::lacking_margin;
 use crate::tuners::{Ask, LearnerState, Told, Tuner};
 
 pub(crate) use cholesky::Cholesky;
@@ -33,6 +34,8 @@ pub(crate) use space::{Known, Space};
 const BARREN: u32 = 30;
 /// A search is settled while it neither finds nor expects a set that is better than the best one by more than this share.
 pub(crate) const SETTLED: f64 = 0.01;
+/// What a set without any margin counts as worse, as a share of its value.
+const FRAGILE_PRICE: f64 = 4.0;
 /// A value that is no number, or beyond this, counts as this.
 const WORST: f64 = 1e12;
 /// The normal distribution's 97.5th percentile.
@@ -134,6 +137,15 @@ impl<M: Method> Search<M> {
         self.learners.iter().map(|it| it.drives as usize).sum()
     }
 
+    /// By how much a set counts as worse than its drives. Over plants a set that is fragile is not chosen if there is another one,
+    /// so the search is to look where sets are not; what the price rises with, it can follow.
+    fn price(&self, set: &Parameters) -> f64 {
+        match self.config.over.by {
+            OverBy::Nominal => 1.0,
+            _ => 1.0 + FRAGILE_PRICE * lacking_margin(&self.config, set),
+        }
+    }
+
     /// Fills the slots with the drives of the next generation; leaves them empty if the search is over.
     fn propose(&mut self) {
         let room = self.budget.saturating_sub(self.spent()) / self.repeats;
@@ -205,7 +217,8 @@ impl<M: Method> Tuner for Search<M> {
     fn tell(&mut self, ask: &Ask, _drive: &DriveRecord, value: f64) -> Told {
         let slot = self.slot_of(ask.learner).expect("only a drive that is wanted is told");
         let value = if value.is_finite() { value.min(WORST) } else { WORST };
-        self.slots[slot].value = Some(value);
+        let price = self.price(&ask.parameters);
+        self.slots[slot].value = Some((value * price).min(WORST));
         let received = &mut self.learners[ask.learner as usize];
         received.drives += 1;
         if received.best.is_none_or(|(best, _)| value < best) {
