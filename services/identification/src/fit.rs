@@ -13,12 +13,12 @@ pub(crate) const Z95: f64 = 1.96;
 /// A fit that is worse by no more than this (twice the logarithm of the likelihood) agrees with the value that it was held
 /// at.
 const AGREES: f64 = 1.0;
-/// One that is worse by this much contradicts it.
-const CONTRADICTED: f64 = 15.0;
-/// A parameter with a wider half of an interval is not even told roughly: as a logarithm, a factor of ten.
+/// The fit says nothing of a parameter with a wider half of an interval but where it may lie: as a logarithm, a factor of ten.
 const MOST_ROUGH: f64 = 2.3;
 /// A drive that would be no worse than this by a value without end has not seen the parameter's effect.
 const UNSEEN: f64 = 15.0;
+/// How often the way between a value that fits and one that does not is halved.
+const HALVINGS: usize = 8;
 
 /// The place and the spread of a fit with all parameters free, but for those that a car has only where a drive proves it.
 #[derive(Debug, Clone)]
@@ -56,17 +56,10 @@ pub(crate) enum Told {
     /// Its interval is wide, but the file's value fits worse. Where the others take the values of this fit, it has to do
     /// the same: a mixture of both would be no car.
     Roughly,
-    /// Its interval is too wide and open to one side, but the file's value fits worse.
-    Contradicted {
-        /// Half the width that it has.
-        half: f64,
-    },
     /// A value without end would do as well, or nearly: it is at least so much.
     AtLeast {
         /// A lower one does not fit the drive.
         least: f64,
-        /// Whether the file's value does not fit.
-        contradicted: bool,
     },
     /// It was never to be fitted.
     Held,
@@ -133,84 +126,128 @@ fn best_start(
     Some((best, weights))
 }
 
+/// Where a fit is on its way.
+struct Stage {
+    at: Vec<f64>,
+    weights: Weights,
+    told: Vec<Told>,
+}
+
+impl Stage {
+    fn new(model: &impl Model, at: Vec<f64>, weights: Weights) -> Self {
+        let told = |axis: &Axis| if axis.free { Told::Identified } else { Told::Held };
+        Self { at, weights, told: model.axes().iter().map(told).collect() }
+    }
+
+    /// All that is known here. `whole`: see [`Fitted::whole`]; this place, if there is none yet.
+    fn fitted(&self, model: &impl Model, whole: Option<&Whole>) -> Option<Fitted> {
+        let spread = spread(model, &self.weights, &self.at)?;
+        let here = || Whole { at: self.at.clone(), spread: spread.clone() };
+        Some(Fitted {
+            at: self.at.clone(),
+            axes: model.axes().to_vec(),
+            weights: self.weights.clone(),
+            whole: whole.cloned().unwrap_or_else(here),
+            spread,
+            told: self.told.clone(),
+        })
+    }
+
+    /// How much worse the fit is with a parameter held at the file's value. If that is no more than `agrees`, it is held, and
+    /// `told` of it.
+    fn hold<M: Held>(&mut self, model: &mut M, index: usize, agrees: f64, told: Told) -> f64 {
+        let before = cost(model, &self.weights, &self.at);
+        let mut held = self.at.clone();
+        held[index] = model.axes()[index].file;
+        model.axes_mut()[index].free = false;
+        let held = descend(model, &self.weights, &held, 12);
+        let worse = cost(model, &self.weights, &held) - before;
+        if worse <= agrees {
+            self.told[index] = told;
+            (self.at, self.weights) = settle(model, self.weights.clone(), &held, 1, &|_| true);
+        } else {
+            model.axes_mut()[index].free = true;
+        }
+        worse
+    }
+
+    /// Holds a parameter at the value that fits and is the nearest to the file's, which does not fit.
+    fn hold_near_file<M: Held>(&mut self, model: &mut M, index: usize) {
+        let most = cost(model, &self.weights, &self.at) + Z95 * Z95;
+        model.axes_mut()[index].free = false;
+        let mut misfits = model.axes()[index].file;
+        for _ in 0..HALVINGS {
+            let mut there = self.at.clone();
+            there[index] = 0.5 * (self.at[index] + misfits);
+            let to = there[index];
+            let there = descend(model, &self.weights, &there, 12);
+            match cost(model, &self.weights, &there) <= most {
+                true => self.at = there,
+                false => misfits = to,
+            }
+        }
+        (self.at, self.weights) = settle(model, self.weights.clone(), &self.at, 1, &|_| true);
+    }
+}
+
+/// Holds what a car has only where a drive proves it, unless the file's value is outside of the interval, while all else is
+/// free: held too soon, another parameter would leave what is its own to these. Slow cars do not show them.
+fn hold_what_is_not_proven<M: Held>(
+    model: &mut M,
+    stage: &mut Stage,
+    limits: &dyn Fn(usize, &[f64]) -> Limit,
+    mut extras: Vec<usize>,
+) -> Option<()> {
+    extras.retain(|&it| model.axes()[it].free);
+    while !extras.is_empty() {
+        let fitted = stage.fitted(model, None)?;
+        let half = |index: usize| fitted.half(&[(index, 1.0)]);
+        let excess = |index: usize| half(index) / limits(index, &fitted.at);
+        extras.sort_by(|a, b| excess(*a).total_cmp(&excess(*b)));
+        let Some(worst) = extras.pop() else { break };
+        let half = half(worst);
+        let is_within = (fitted.at[worst] - model.axes()[worst].file).abs() <= half;
+        let is_wide = excess(worst) > 1.0;
+        let agrees = if is_wide || is_within { f64::INFINITY } else { Z95 * Z95 };
+        stage.hold(model, worst, agrees, Told::TooWide { half });
+    }
+    Some(())
+}
+
 /// Holds one parameter after the other that the drive does not tell at the file's value, where the drive agrees with it: the
 /// least told first, because another one may be told once it is held. `open_sided` is never told roughly, nor told where a value
-/// without end would do as well: beside the edge of its effect, its interval is narrow. `extras` are held
-/// unless the file's value is outside of their interval, all others free: slow cars do not show them.
+/// without end would do as well: beside the edge of its effect, its interval is narrow.
 fn hold_what_is_not_told<M: Held>(
     model: &mut M,
-    mut at: Vec<f64>,
-    mut weights: Weights,
+    mut stage: Stage,
     limits: &dyn Fn(usize, &[f64]) -> Limit,
     open_sided: Option<usize>,
-    extras: &[usize],
 ) -> Option<Fitted> {
-    let all = |_: usize| true;
-    let told = |axis: &Axis| if axis.free { Told::Identified } else { Told::Held };
-    let mut told: Vec<Told> = model.axes().iter().map(told).collect();
-    let mut extras = extras.to_vec();
     let mut whole = None;
     loop {
-        let spread = spread(model, &weights, &at)?;
-        let here = Whole { at: at.clone(), spread: spread.clone() };
-        let fitted = Fitted {
-            at: at.clone(),
-            axes: model.axes().to_vec(),
-            weights: weights.clone(),
-            spread,
-            whole: whole.clone().unwrap_or_else(|| here.clone()),
-            told: told.clone(),
-        };
+        let fitted = stage.fitted(model, whole.as_ref())?;
+        whole.get_or_insert_with(|| fitted.whole.clone());
+        let (at, weights) = (&stage.at, &stage.weights);
         let half = |index: usize| fitted.half(&[(index, 1.0)]);
-        let excess = |index: usize| half(index) / limits(index, &at);
-        // Extras first, while all others are free: held too soon, these would leave what is their own to the extras.
-        extras.retain(|&it| told[it] == Told::Identified);
-        extras.sort_by(|a, b| excess(*a).total_cmp(&excess(*b)));
-        let extra = extras.pop();
-        if extra.is_none() {
-            whole.get_or_insert(here);
-        }
+        let excess = |index: usize| half(index) / limits(index, at);
         let worst = (0..at.len())
-            .filter(|&index| told[index] == Told::Identified)
+            .filter(|&index| stage.told[index] == Told::Identified)
             .max_by(|a, b| excess(*a).total_cmp(&excess(*b)))
             .filter(|&index| excess(index) > 1.0);
-        let open = open_sided.filter(|it| told[*it] == Told::Identified);
-        let unseen = || open.filter(|&it| is_unseen(model, &weights, &at, it));
-        let Some(worst) = extra.or(worst).or_else(unseen) else { return Some(fitted) };
+        let open = open_sided.filter(|it| stage.told[*it] == Told::Identified);
+        let unseen = || open.filter(|&it| is_unseen(model, weights, at, it));
+        let Some(worst) = worst.or_else(unseen) else { return Some(fitted) };
         let half = half(worst);
-        let least = (open == Some(worst)).then(|| least(model, &weights, &at, worst));
-        let as_told = |contradicted: bool| match (least, contradicted) {
-            (Some(least), contradicted) => Told::AtLeast { least, contradicted },
-            (None, true) => Told::Contradicted { half },
-            (None, false) => Told::TooWide { half },
-        };
-        let is_wide = excess(worst) > 1.0;
-        let is_within = (at[worst] - model.axes()[worst].file).abs() <= half;
-        let agrees = match extra {
-            Some(_) if is_wide || is_within => f64::INFINITY,
-            Some(_) => Z95 * Z95,
-            None => AGREES,
-        };
-        let before = cost(model, &weights, &at);
-        let mut held = at.clone();
-        held[worst] = model.axes()[worst].file;
-        model.axes_mut()[worst].free = false;
-        let held = descend(model, &weights, &held, 12);
-        let worse = cost(model, &weights, &held) - before;
-        if worse <= agrees {
-            told[worst] = as_told(false);
-            (at, weights) = settle(model, weights, &held, 1, &all);
+        let least = (open == Some(worst)).then(|| least(model, weights, at, worst));
+        let not_told = least.map_or(Told::TooWide { half }, |least| Told::AtLeast { least });
+        if stage.hold(model, worst, AGREES, not_told) <= AGREES {
             continue;
         }
         // Held at the file's value, it would mislead the others: they are better told by a fit that leaves it free.
-        model.axes_mut()[worst].free = true;
-        if extra.is_some() {
-            continue;
+        stage.told[worst] = Told::Roughly;
+        if open == Some(worst) || half >= MOST_ROUGH {
+            stage.hold_near_file(model, worst);
         }
-        told[worst] = match open_sided != Some(worst) && half < MOST_ROUGH {
-            true => Told::Roughly,
-            false => as_told(worse > CONTRADICTED),
-        };
     }
 }
 
@@ -259,7 +296,8 @@ pub(crate) fn fit_speed(
     }
     let (start, weights) = best_start(&model, starts, 6)?;
     let (at, weights) = settle(&model, weights, &start, 4, &|_| true);
-    hold_what_is_not_told(&mut model, at, weights, limits, None, &[])
+    let stage = Stage::new(&model, at, weights);
+    hold_what_is_not_told(&mut model, stage, limits, None)
 }
 
 /// Fits steering, wheelbase and the odometry's point.
@@ -286,9 +324,11 @@ pub(crate) fn fit_steering(
     let mut joint = Steering::new(stretches, vehicle, point_m, wheelbase_is_measured, true);
     let weights = even(&joint);
     let (at, weights) = settle(&joint, weights, &start, 4, &|_| true);
+    let mut stage = Stage::new(&joint, at, weights);
+    let extras = vec![steering::YAW_LAG, steering::UNDERSTEER];
+    hold_what_is_not_proven(&mut joint, &mut stage, limits, extras)?;
     // Wheels that never turned as fast as they can tell a least rate, and no greatest one.
-    let extras = [steering::YAW_LAG, steering::UNDERSTEER];
-    hold_what_is_not_told(&mut joint, at, weights, limits, Some(steering::RATE), &extras)
+    hold_what_is_not_told(&mut joint, stage, limits, Some(steering::RATE))
 }
 
 /// The fit of some blocks alone, with the same parameters held.

@@ -397,11 +397,6 @@ fn warnings(found: &Identification, of_steering: &Fitted) -> Vec<String> {
             (of_steering.at[steering::DELAY] + age_s).max(0.0)
         ));
     }
-    for row in &found.rows {
-        if let Some(why) = row.why.as_deref().filter(|_| row.contradicted) {
-            warnings.push(format!("{}: {why}", row.key));
-        }
-    }
     if found.fitted_s < 0.9 * found.recorded_s {
         warnings.push(format!(
             "{:.0} s of {:.0} s were fitted: those with the most steering and changes of speed",

@@ -30,8 +30,6 @@ pub struct Row {
     pub only_with: Option<&'static str>,
     /// Why it is not identified.
     pub why: Option<String>,
-    /// It is not identified, but the file's value does not fit the drive.
-    pub contradicted: bool,
     /// It keeps the file's value because the drive agrees with that, and would have told another one.
     pub agrees: bool,
 }
@@ -107,42 +105,27 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
         true => format!("known to a factor of {:.2} only", libm::exp(half)),
         false => format!("known to ± {half:.3} only"),
     };
-    let unidentified = |known: String, contradicted: bool| {
-        let why = match contradicted {
-            true => format!(
-                "{known}; the file's {} does not fit the drive, which would rather have {}",
-                rounded(key.before, 1e-3 * key.before.abs()),
-                rounded(value(at), 0.2 * value(at).abs())
-            ),
-            false => known,
-        };
-        Row {
-            key: key.name,
-            before: key.before,
-            after: key.before,
-            interval: None,
-            identified: false,
-            roughly: false,
-            only_with: None,
-            why: Some(why),
-            contradicted,
-            agrees: false,
-        }
+    let unidentified = |why: String| Row {
+        key: key.name,
+        before: key.before,
+        after: key.before,
+        interval: None,
+        identified: false,
+        roughly: false,
+        only_with: None,
+        why: Some(why),
+        agrees: false,
     };
     match told {
-        Told::TooWide { half } => unidentified(within(half), false),
-        Told::Contradicted { half } => unidentified(within(half), true),
-        Told::AtLeast { least, contradicted } => {
+        Told::TooWide { half } => unidentified(within(half)),
+        Told::AtLeast { least } => {
             let least = value(least);
-            unidentified(
-                format!(
-                    "at least {}; the wheels did not turn as fast as they can",
-                    rounded(least, least)
-                ),
-                contradicted,
-            )
+            unidentified(format!(
+                "at least {}; the wheels did not turn as fast as they can",
+                rounded(least, least)
+            ))
         }
-        Told::Held => unidentified("not looked for".to_owned(), false),
+        Told::Held => unidentified("not looked for".to_owned()),
         Told::Identified | Told::Roughly => {
             let interval = [value(at - half), value(at + half)];
             Row {
@@ -154,7 +137,6 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
                 roughly: told == Told::Roughly,
                 only_with: None,
                 why: None,
-                contradicted: false,
                 agrees: false,
             }
         }
@@ -254,7 +236,6 @@ pub(crate) fn slip_row(slip: Option<Slip>, vehicle: &Vehicle) -> Row {
             }
             (None, None) => Some(format!("known to ± {half:.4} only")),
         },
-        contradicted: false,
         agrees: told.is_none() && known.is_some(),
     }
 }
@@ -304,7 +285,6 @@ pub(crate) fn delay_and_lag(fitted: &Fitted, vehicle: &Vehicle) -> Row {
         roughly: false,
         only_with: None,
         why: (!is_known).then(|| format!("known to ± {half:.3} only")),
-        contradicted: false,
         agrees: false,
     }
 }
@@ -373,7 +353,6 @@ mod tests {
             roughly: false,
             only_with: None,
             why: None,
-            contradicted: false,
             agrees: false,
         };
         // 0.01 m by itself, and 0.024 m by the slip: 0.026 m.

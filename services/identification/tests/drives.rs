@@ -258,3 +258,18 @@ fn limits_of_the_file_that_the_car_does_not_have_are_told() {
         assert!(found.warnings.iter().any(|it| it.contains(told)), "{:?}", found.warnings);
     }
 }
+
+/// The speed controller of another's car: in the model's terms much throttle, much drag and little gain. No pedal comes to its
+/// end, so the drive tells the throttle only roughly, but with the file's throttle it would.
+#[test]
+fn a_value_that_does_not_fit_gives_way_even_if_the_drive_hardly_tells_it() {
+    let (mut car, mut file, mut dice) = car();
+    (car.throttle_accel_mps2, car.speed_kp, car.speed_ki) = (30.0, 0.064, 0.13);
+    (car.drag_per_s, car.rolling_decel_mps2, car.pedal_lag_s) = (2.0, 1.4, 0.003);
+    (file.throttle_accel_mps2, file.speed_kp, file.speed_ki) = (3.0, 0.67, 0.05);
+    (file.drag_per_s, file.rolling_decel_mps2, file.pedal_lag_s) = (0.05, 0.15, 0.1);
+    let found = identify(&[excite(&car, &SENSORS, &mut dice)], &file, Options::default()).unwrap();
+    assert!(found.is_better(), "{:?}", found.predictions);
+    assert!(found.predictions.iter().all(|it| it.after_m < 0.05), "{:?}", found.predictions);
+    assert!(found.vehicle.throttle_accel_mps2 > 6.0, "{}", found.vehicle.throttle_accel_mps2);
+}
