@@ -9,7 +9,7 @@ use monitor::MonitorError;
 use orchestrator::cli::{CompareArgs, MonitorArgs, RecordArgs, ReplayArgs};
 use orchestrator::runs::{LivingRun, known_of_car, living_run};
 use orchestrator::words::{Failure, print_line};
-use orchestrator::{Services, StudyTools, Tools, commands};
+use orchestrator::{ExciteTools, Services, StudyTools, Tools, commands};
 use replayer::reviewer::Outcome;
 
 pub(crate) const TOOLS: Tools = Tools {
@@ -24,8 +24,7 @@ pub(crate) const TOOLS: Tools = Tools {
     record,
     replay,
     margin: trainer::margin,
-    ground,
-    excitation_s: tracking::EXCITATION_S,
+    excite: ExciteTools { lasts_s: tracking::EXCITATION_S, ground },
     zone_regions: certificate::zone_regions,
     certify: crate::certify::certify,
     calibrate: crate::calibrate::calibrate,

@@ -37,6 +37,16 @@ pub struct House {
 /// What gives the regions to which changes of gains along a path are held; or why there are none.
 pub(crate) type RegionsOf = fn(&RunConfig, &[Parameters]) -> Result<Vec<ZoneRegion>, String>;
 
+/// What `excite` drives.
+#[derive(Debug, Clone, Copy)]
+pub struct ExciteTools {
+    /// How long it takes, in s.
+    pub lasts_s: f64,
+    /// The ground that a drive of our simulator takes with these parameters, the car's body and the way to a stop included:
+    /// least and largest x, least and largest y (m), in the frame of the path.
+    pub ground: fn(&RunConfig, &[Parameters]) -> [f64; 4],
+}
+
 /// Commands that observe a run from outside, or read what it has left.
 #[derive(Debug, Clone, Copy)]
 pub struct Tools {
@@ -54,11 +64,8 @@ pub struct Tools {
     pub replay: fn(&ReplayArgs, Services) -> Result<bool, Failure>,
     /// How much later the steering may act with these parameters, in this configuration, at this speed (m/s).
     pub margin: fn(&RunConfig, &Parameters, f64) -> Margin,
-    /// The ground that a drive of our simulator takes with these parameters, the car's body and the way to a stop included:
-    /// least and largest x, least and largest y (m), in the frame of the path.
-    pub ground: fn(&RunConfig, &[Parameters]) -> [f64; 4],
-    /// How long the drive of `excite` takes, in s.
-    pub excitation_s: f64,
+    /// What `excite` needs of them.
+    pub excite: ExciteTools,
     /// Computes the regions to which changes of gains along a path are held.
     pub zone_regions: RegionsOf,
     /// Says what is certain of gains; returns whether what it was to verify holds.
@@ -164,8 +171,7 @@ fn execute(command: Command, house: House) -> Result<bool, Failure> {
         Command::Conformance(args) => return conformance(&args),
         Command::Schema(args) => commands::print_schema(&args),
         Command::Excite(args) => {
-            let excitation = (tools.excitation_s, tools.ground);
-            commands::excite(&args, services, excitation, of_drive).and_then(draw)
+            commands::excite(&args, services, tools.excite, of_drive).and_then(draw)
         }
         Command::Identify(args) => (tools.identify)(&args),
         Command::Gains(command) => commands::gains(&command, tools.margin),

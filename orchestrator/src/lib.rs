@@ -29,6 +29,6 @@ pub mod runs;
 mod study;
 pub mod words;
 
-pub use doorway::{House, Tools, run};
+pub use doorway::{ExciteTools, House, Tools, run};
 pub use pipeline::services::{Service, Services};
 pub use study::StudyTools;

@@ -4,8 +4,9 @@ use std::ffi::OsString;
 use std::path::Path;
 
 use clap::Parser;
-use config::{FULL_SIZE_WHEELBASE_M, Parameters, RunConfig};
+use config::FULL_SIZE_WHEELBASE_M;
 
+use crate::ExciteTools;
 use crate::cli::{Cli, Command, ExciteArgs};
 use crate::commands::sweep::parse_sets;
 use crate::commands::{DriveTools, drive, vehicle_of};
@@ -23,15 +24,14 @@ const KEYS: [&str; 5] = [
     "vehicle.safety.watch_response='off'",
 ];
 
-/// Drives what a car is identified by, for so many seconds and on the ground that `ground` says, and names the command that
-/// identifies it.
+/// Drives what a car is identified by, and names the command that identifies it.
 ///
 /// # Errors
 /// As those of `pathtune drive`; if the drive needs more ground than there is.
 pub(crate) fn excite(
     args: &ExciteArgs,
     services: Services,
-    (lasts_s, ground): (f64, fn(&RunConfig, &[Parameters]) -> [f64; 4]),
+    ExciteTools { lasts_s, ground }: ExciteTools,
     tools: DriveTools,
 ) -> Result<EndedRun, Failure> {
     let vehicle = vehicle_of(Path::new(&args.vehicle))?;
