@@ -11,6 +11,7 @@ use orchestrator::{Service, Services, bench};
 use runtime::clock::now_ns;
 use runtime::ring::Hop;
 use trainer::journal::JournalError;
+use trainer::service::CannotBegin;
 
 /// The first service in the table that can fill a role is the usual one for it.
 pub(crate) const SERVICES: Services = Services(&[
@@ -49,11 +50,14 @@ pub(crate) const SERVICES: Services = Services(&[
     Service::new("calls", None, |words| Ok(time_calls(words)?)),
 ]);
 
-/// A journal that cannot be gone on with is not mended by another start of the trainer.
+/// A journal that cannot be gone on with is not mended by another start of the trainer, nor is a training with nothing to drive.
 fn train() -> Result<(), Failure> {
-    trainer::service::run().map_err(|error| match error.downcast_ref::<JournalError>() {
-        Some(journal) if journal.is_final() => Failure::User(journal.to_string()),
-        _ => Failure::Other(error),
+    trainer::service::run().map_err(|error| {
+        let is_final = error.downcast_ref().is_some_and(JournalError::is_final);
+        match is_final || error.is::<CannotBegin>() {
+            true => Failure::User(error.to_string()),
+            false => Failure::Other(error),
+        }
     })
 }
 

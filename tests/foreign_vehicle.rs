@@ -112,6 +112,13 @@ fn a_training_that_simulates_first_drives_its_budget_and_not_once_more_whatever_
         args.extend(["--set", set]);
     }
     let ours = sandbox.train("ours", &args);
+    // Nobody can drive so near; another start of the trainer would not help.
+    let within = ["train", "--out", "near", "--set", "tuner.settings.within_m=0.01"];
+    let others = args.iter().filter(|it| !["--within", "2"].contains(it));
+    let output = sandbox.run(&within.iter().chain(others).copied().collect::<Vec<_>>());
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(64), "{said}");
+    assert!(said.contains("no set stays so near to the path on all 4 simulated plants"), "{said}");
     args.extend(["--replace", &replaced]);
     let theirs = sandbox.train("theirs", &args);
     let drives = &theirs["drives"];
@@ -123,6 +130,7 @@ fn a_training_that_simulates_first_drives_its_budget_and_not_once_more_whatever_
         (&simulated["beyond"], &simulated["textbook"]["driven"]["drives"]),
         (&0.into(), &2.into())
     );
+    assert_eq!(simulated["not_arrived"], 0);
     assert!(simulated["chosen"]["drives"].as_u64().unwrap() >= 2, "{simulated}");
     // The same plant drives both.
     for key in ["digest", "gains", "simulated_first"] {

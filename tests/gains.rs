@@ -120,7 +120,9 @@ fn gains_are_promoted_listed_shown_and_driven() {
     assert!(said.contains("from car.toml (run first, digest") && said.contains(short), "{said}");
     assert_eq!(sandbox.result("driven")["gains"][0], result["gains"]);
     let quiet = sandbox.run(&["drive", "lane_change", "--vehicle", "car.toml", "-q"]);
-    assert_eq!(stderr(&quiet), "");
+    // Whose values it has is told all the same.
+    let said = stderr(&quiet);
+    assert!(said.lines().count() == 1 && said.contains("the values of another car"), "{said}");
     // A path with a manoeuvre that the car has no gains for.
     let args = ["drive", "circuit", "--vehicle", "car.toml", "--out", "circuit"];
     let said = stderr(&sandbox.run(&args));
@@ -370,6 +372,28 @@ fn from_nothing_to_a_drive() {
     let driven = sandbox.json("driven", &[&["drive"], &of[..]].concat());
     assert_eq!((&driven["arrived"], &driven["gains"][0]), (&true.into(), &tuned["gains"]));
     assert!(driven["path_mean_m"].as_f64().unwrap() < 0.05, "{driven}");
+    sandbox.assert_clean();
+}
+
+/// The bounds of a length go with the size of the car, in its file as well.
+#[test]
+fn a_look_ahead_that_only_a_small_car_has_is_promoted_and_driven() {
+    let sandbox = Sandbox::new();
+    fs::write(sandbox.path("car.toml"), "base = \"f1tenth\"\nname = \"mine\"\n").unwrap();
+    closed_path(&sandbox, "track.csv", oval);
+    let of = ["--path", "track.csv", "--vehicle", "car.toml", "--law", "pure_pursuit"];
+    let mut args = [&of[..], &["--tuner", "sobol", "--drives", "2"]].concat();
+    args.extend([
+        "--set",
+        "grid.ld_min={min=0.08,max=0.08,step=2}",
+        "--set",
+        "ranking.max_ticks=1",
+    ]);
+    let tuned = sandbox.train("tuned", &args);
+    assert_eq!(tuned["gains"]["ld_min"], 0.08);
+    gains(&sandbox, &["promote", "tuned", "car.toml", "--force"]);
+    let driven = sandbox.json("driven", &[&["drive"], &of[..]].concat());
+    assert_eq!(driven["gains"][0], tuned["gains"]);
     sandbox.assert_clean();
 }
 

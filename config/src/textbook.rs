@@ -79,7 +79,7 @@ impl RunConfig {
 }
 
 /// A law with its lengths scaled to a car of this wheelbase.
-fn fitted(law: &LawConfig, wheelbase_m: f64) -> LawConfig {
+pub(crate) fn fitted(law: &LawConfig, wheelbase_m: f64) -> LawConfig {
     let mut law = law.clone();
     for parameter in &mut law.parameters {
         let Some(made_for_m) = parameter.for_wheelbase_m else { continue };

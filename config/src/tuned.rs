@@ -205,17 +205,21 @@ pub struct Provenance {
 /// The longest text of a provenance.
 const MAX_TEXT: usize = 300;
 
-pub(crate) fn validate(gains: &BTreeMap<String, TunedGains>) -> Result<(), Problem> {
+/// Checks the gains of a vehicle of this wheelbase.
+pub(crate) fn validate(
+    gains: &BTreeMap<String, TunedGains>,
+    wheelbase_m: f64,
+) -> Result<(), Problem> {
     for (maneuver, set) in gains {
         let key = format!("vehicle.gains.{maneuver}");
         if !(1..=60).contains(&maneuver.chars().count()) || maneuver.chars().any(char::is_control) {
             let problem = "must be below a name of 1 to 60 characters on one line".to_owned();
             return Err((key, problem));
         }
-        check_set(&key, &set.law, &set.parameters, set.provenance.as_ref())?;
+        check_set(&key, wheelbase_m, &set.law, &set.parameters, set.provenance.as_ref())?;
         for (index, past) in set.history.iter().enumerate() {
             let key = format!("{key}.history[{index}]");
-            check_set(&key, &past.law, &past.parameters, past.provenance.as_ref())?;
+            check_set(&key, wheelbase_m, &past.law, &past.parameters, past.provenance.as_ref())?;
             check_text(&key, "replaced_at", &past.replaced_at)?;
         }
     }
@@ -224,6 +228,7 @@ pub(crate) fn validate(gains: &BTreeMap<String, TunedGains>) -> Result<(), Probl
 
 fn check_set(
     key: &str,
+    wheelbase_m: f64,
     law: &str,
     parameters: &NamedParameters,
     provenance: Option<&Provenance>,
@@ -233,6 +238,12 @@ fn check_set(
         let hint = crate::presets::hint(law, &known);
         return Err((format!("{key}.law"), format!("is {law:?}, which is unknown; {hint}")));
     };
+    // The bounds of lengths go with the wheelbase, which may have been measured anew since; what is driven is checked again.
+    let mut of_law = crate::textbook::fitted(&of_law, wheelbase_m);
+    for length in of_law.parameters.iter_mut().filter(|it| it.for_wheelbase_m.is_some()) {
+        length.min *= 0.5;
+        length.max *= 2.0;
+    }
     of_law
         .parameters_of(parameters)
         .map_err(|(name, problem)| (format!("{key}.parameters.{name}"), problem))?;

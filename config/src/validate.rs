@@ -401,10 +401,10 @@ fn safety(config: &RunConfig) -> Result<(), Problem> {
 pub(crate) fn vehicle(config: &RunConfig) -> Result<(), Problem> {
     safety(config)?;
     crate::ros2::validate(&config.vehicle.ros2)?;
-    crate::tuned::validate(&config.vehicle.gains)?;
-    crate::stated::validate(&config.vehicle)?;
     let v = &config.vehicle;
     within("vehicle.wheelbase_m", v.wheelbase_m, 0.01, 20.0)?;
+    crate::tuned::validate(&v.gains, v.wheelbase_m)?;
+    crate::stated::validate(v)?;
     within("vehicle.tracked_point_m", v.tracked_point_m, -20.0, 20.0)?;
     above("vehicle.body_front_m", v.body_front_m, 0.0, 20.0)?;
     above("vehicle.body_rear_m", v.body_rear_m, 0.0, 20.0)?;

@@ -14,9 +14,11 @@ use crate::commands::sweep::{Kind, list, no_paper_gains, parse_sets, plan, sweep
 use crate::doorway::RegionsOf;
 use crate::pipeline::services::Services;
 use crate::runs::EndedRun;
+use crate::runs::folder::resolved_config;
 use crate::runs::setup;
 use crate::words::Failure;
 use crate::words::tables;
+use crate::words::terminal::tell_once;
 
 /// What a drive needs of the tools that know more than the orchestrator.
 #[derive(Clone, Copy)]
@@ -241,6 +243,7 @@ fn from_trainings(runs: &[PathBuf], config: &RunConfig) -> Result<Vec<Parameters
         tuned.push(tuned_parameters(run, config, "--from ")?);
     }
     if let [(_, set)] = tuned[..] {
+        tell_what_differs(&runs[0], config);
         return Ok(vec![set]);
     }
     config
@@ -257,6 +260,33 @@ fn from_trainings(runs: &[PathBuf], config: &RunConfig) -> Result<Vec<Parameters
             })
         })
         .collect()
+}
+
+/// Tells in what this drive differs from the training that its gains come from, as far as that one can be read.
+fn tell_what_differs(run: &Path, config: &RunConfig) {
+    let file = run.join("config.toml");
+    let text = config::read_small(&file).ok();
+    let Some(of) = text.and_then(|it| resolved_config(&file.display().to_string(), &it).ok())
+    else {
+        return;
+    };
+    let run = run.display();
+    if of.is_own_path() && config.is_own_path() && of.path_hash() != config.path_hash() {
+        tell_once(&format!("--from {run}: its gains were found on another path"));
+    }
+    if of.vehicle.name != config.vehicle.name {
+        let (theirs, ours) = (&of.vehicle.name, &config.vehicle.name);
+        tell_once(&format!(
+            "--from {run}: its gains were found for {theirs}, and this drives {ours}"
+        ));
+    }
+    let (theirs, ours) =
+        (of.controller.compensate_dead_time, config.controller.compensate_dead_time);
+    if theirs != ours {
+        tell_once(&format!(
+            "--from {run}: its gains were found with controller.compensate_dead_time = {theirs}, and this drives with {ours}"
+        ));
+    }
 }
 
 /// The manoeuvre and the tuned parameters of a finished training; `option` stands before its name in errors.

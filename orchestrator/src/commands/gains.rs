@@ -395,9 +395,9 @@ impl Trained {
                 return Err(unfinished(&format!("config.toml and result.json differ in {key}")));
             }
         }
-        // By the law's preset, as when the vehicle's file is read.
-        law_of(&config.law.name).parameters_of(&training.gains).map_err(|(name, problem)| {
-            fail(format!("{RESULT_FILE}: gains.{name} {problem}, according to the law's preset"))
+        // By the law as the training had it: its bounds go with the size of the car.
+        config.law.parameters_of(&training.gains).map_err(|(name, problem)| {
+            fail(format!("{RESULT_FILE}: gains.{name} {problem}, according to the law's bounds"))
         })?;
         let chosen = training.noise.as_ref().and_then(|noise| noise.finalists.first());
         let name = folder.file_name().unwrap_or_default().to_string_lossy();

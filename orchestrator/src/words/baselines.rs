@@ -70,8 +70,15 @@ fn verdict(beside: &Baselines, tuned: &Measures) -> String {
             "the tuned set is as near to the path as the best textbook set, {name}: {figures}{by}"
         ),
         (true, _) => format!("the tuned set beats the best textbook set, {name}: {figures}{by}"),
+        (false, true) if tuned.value < best.measures.value => format!(
+            "the best textbook set, {name}, is nearer to the path: {figures}{by}; by the objective, with its limits and prices, the \
+             tuned set is better: {} against {}",
+            digits(tuned.value, 4),
+            digits(best.measures.value, 4)
+        ),
         (false, true) => format!(
-            "the tuned set does not beat the best textbook set, {name}: {figures}{by}; drive that one, or tune its law"
+            "the tuned set does not beat the best textbook set, {name}: {figures}{by}; drive that one, or tune its law with more \
+             drives"
         ),
         (false, false) => format!(
             "the tuned set does not arrive at the end of the path, and the best textbook set does, {name}: {figures}"
@@ -87,7 +94,10 @@ mod tests {
 
     #[test]
     fn a_set_that_does_not_beat_the_textbook_is_told_so() {
-        let of = |path_mean_m, arrived| Measures { path_mean_m, arrived, ..Measures::default() };
+        let of = |path_mean_m, arrived| {
+            let value = if path_mean_m == 0.3 { 0.05 } else { path_mean_m };
+            Measures { path_mean_m, value, arrived, ..Measures::default() }
+        };
         let beside = |beaten, ratio| Baselines {
             sets: vec![Baseline {
                 law: "stanley".to_owned(),
@@ -106,6 +116,11 @@ mod tests {
         let same = words(true, 0.996, of(0.0996, true));
         assert!(same.contains("is as near") && !same.contains("beats"), "{same}");
         assert!(words(false, 1.5, of(0.15, true)).contains("does not beat"));
+        let calmer = words(false, 3.0, of(0.3, true));
+        assert!(
+            calmer.contains("by the objective") && !calmer.contains("drive that one"),
+            "{calmer}"
+        );
         assert!(words(false, 0.5, of(0.05, false)).contains("does not arrive"));
     }
 }

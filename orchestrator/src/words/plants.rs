@@ -83,8 +83,9 @@ fn regions(it: &Margin) -> String {
             &format!("; it is certain to come back to a straight path from {}", extent(certified));
     }
     if let Some(simulated) = &it.simulated {
-        let begins = if it.certified.is_some() { ", and" } else { "; it" };
-        words += &format!("{begins} does so from {} when simulated", extent(simulated));
+        let begins =
+            if it.certified.is_some() { ", and" } else { "; it comes back to a straight path" };
+        words += &format!("{begins} from {} when simulated", extent(simulated));
     }
     match (&it.certified, &it.no_certificate) {
         (None, Some(why)) => words + "; " + why,

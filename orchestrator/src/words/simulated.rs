@@ -27,6 +27,19 @@ pub(super) fn print(it: &SimulatedFirst, config: &RunConfig) -> Result<(), Failu
         share(it.beyond_low, it.beyond_high),
         digits(it.worst_m, 3),
     );
+    if it.not_arrived > 0 {
+        say!(
+            "{} of {} drives of the vehicle did not arrive{}",
+            it.not_arrived,
+            it.drives,
+            match it.chosen_did_not_arrive {
+                true =>
+                    ", one with the chosen set among them, which arrives on the simulated plants: this car is none of them; identify \
+                     it, or look for what is wrong with a drive (pathtune drive)",
+                false => "",
+            }
+        );
+    }
     let predicted = |of: &OfDrives| {
         let [value, low, high] = [of.predicted, of.low, of.high].map(|it| digits(it, 4));
         let times = if of.drives == 1 { "drive" } else { "drives" };

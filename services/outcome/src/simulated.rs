@@ -25,7 +25,13 @@ pub struct SimulatedFirst {
     pub drives: u64,
     /// Drives of the vehicle that were farther from the path.
     pub beyond: u64,
-    /// Lower end of the 95 % interval of their share, by Clopper and Pearson.
+    /// Drives of the vehicle that did not arrive.
+    #[serde(default)]
+    pub not_arrived: u64,
+    /// Whether one of those that did not arrive was with the chosen set.
+    #[serde(default)]
+    pub chosen_did_not_arrive: bool,
+    /// Lower end of the 95 % interval of the share of those beyond, by Clopper and Pearson.
     pub beyond_low: f64,
     /// Upper end of it.
     pub beyond_high: f64,

@@ -32,11 +32,23 @@ pub(crate) fn section(
 }
 
 fn distance(train: &TrainResult) -> String {
-    let nominal = format!(
-        "{} m on average and {} m at most with the vehicle as its file has it",
-        number(train.measures.path_mean_m, 3),
-        number(train.measures.path_max_m, 3)
-    );
+    let of = |mean_m: f64, max_m: f64, whose: &str| {
+        format!("{} m on average and {} m at most {whose}", number(mean_m, 3), number(max_m, 3))
+    };
+    let (mean_m, max_m) = (train.measures.path_mean_m, train.measures.path_max_m);
+    // Over plants, the set's own figures are those over them.
+    let alone = train.plants.as_ref().and_then(|check| check.plants.first());
+    let nominal = match (train.vehicle_drives.is_some(), alone) {
+        (true, _) => of(mean_m, max_m, "in drives of the vehicle"),
+        (false, Some(alone)) => {
+            of(alone.path_mean_m, alone.path_max_m, "with the vehicle as its file has it")
+        }
+        (false, None) => of(mean_m, max_m, "with the vehicle as its file has it"),
+    };
+    let nominal = match train.measures.arrived {
+        true => nominal,
+        false => format!("{nominal}, and it did not arrive"),
+    };
     match &train.plants {
         Some(check) => format!(
             "{nominal}; {} m on average in the worst of {} plants that were drawn anew{}.",
@@ -73,7 +85,16 @@ fn against(train: &TrainResult) -> String {
 
 fn robust(train: &TrainResult) -> String {
     match &train.plants {
-        None => "not known; only our simulator can be such a car.".to_owned(),
+        None => match &train.simulated_first {
+            Some(it) => format!(
+                "on {} simulated plants that chose nothing, it was beyond {} m on {} and did not arrive on {}.",
+                it.fresh.plants,
+                number(it.within_m, 2),
+                it.fresh.beyond,
+                it.fresh.not_arrived
+            ),
+            None => "not known; only our simulator can be such a car.".to_owned(),
+        },
         Some(check) => match &check.fragile {
             Some(why) => format!("fragile; {why}."),
             None => "not fragile.".to_owned(),
@@ -111,7 +132,9 @@ fn next(
     folder: &str,
     is_fragile: bool,
 ) -> Vec<(String, &'static str)> {
-    let of = subject(run, config);
+    // With all that it was trained with: the file of the run names the path, the vehicle, and every key.
+    let run_folder = option(run, "--out").map_or_else(|| folder.to_owned(), |it| quoted(&it));
+    let of = format!("--config {run_folder}/config.toml");
     let values: Vec<String> = train.gains.0.iter().map(|(_, value)| value.to_string()).collect();
     let mut next = Vec::new();
     if is_fragile && config.plants() == 1 && train.vehicle_drives.is_none() {
@@ -129,30 +152,29 @@ fn next(
         format!("pathtune compare {of}"),
         "tells how many drives other tuners need for as good a set",
     ));
-    if !is_fragile {
-        let file = vehicle_file(run).unwrap_or_else(|| "car.toml".to_owned());
+    if !is_fragile && train.measures.arrived {
+        let file = option(run, "--vehicle").filter(|it| it.contains('.') || it.contains('/'));
+        let file = file.map_or_else(|| "car.toml".to_owned(), |it| quoted(&it));
         next.push((
-            format!("pathtune gains promote {folder} {file}"),
+            format!("pathtune gains promote {run_folder} {file}"),
             "writes the set into the file of your vehicle",
         ));
     }
     next.push((
-        format!("pathtune drive {of} --realtime --from {folder}"),
+        format!("pathtune drive {of} --realtime --from {run_folder}"),
         "drives it in real time; --replace vehicle=\u{2026} puts your vehicle in the loop",
     ));
     next
 }
 
-/// The file of the vehicle that the training was told, if it was one.
-fn vehicle_file(run: &RunResult) -> Option<String> {
+/// What the command line gave this option, if it did.
+fn option(run: &RunResult, name: &str) -> Option<String> {
     let all = &run.run.command;
-    let told =
-        all.iter().enumerate().find_map(|(place, word)| match word.strip_prefix("--vehicle") {
-            Some("") => all.get(place + 1).cloned(),
-            Some(rest) => rest.strip_prefix('=').map(str::to_owned),
-            None => None,
-        });
-    told.filter(|it| it.contains('.') || it.contains('/')).map(|it| quoted(&it))
+    all.iter().enumerate().find_map(|(place, word)| match word.strip_prefix(name) {
+        Some("") => all.get(place + 1).cloned(),
+        Some(rest) => rest.strip_prefix('=').map(str::to_owned),
+        None => None,
+    })
 }
 
 /// A word as a shell takes it.
@@ -161,24 +183,4 @@ fn quoted(word: &str) -> String {
         true => format!("'{word}'"),
         false => word.to_owned(),
     }
-}
-
-/// The manoeuvre or the path, with the options of the training that make it what it is.
-fn subject(run: &RunResult, config: &RunConfig) -> String {
-    const KEPT: [&str; 3] = ["--path", "--vehicle", "--law"];
-    let mut words: Vec<String> = Vec::new();
-    let mut all = run.run.command.iter();
-    while let Some(word) = all.next() {
-        if KEPT.contains(&word.as_str()) {
-            words.push(word.clone());
-            words.extend(all.next().cloned());
-        } else if KEPT.iter().any(|it| word.strip_prefix(it).is_some_and(|it| it.starts_with('=')))
-        {
-            words.push(word.clone());
-        }
-    }
-    let options = words.iter().map(|word| quoted(word));
-    let is_own = words.iter().any(|it| it.starts_with("--path"));
-    let maneuver = (!is_own).then(|| config.maneuver.clone());
-    maneuver.into_iter().chain(options).collect::<Vec<_>>().join(" ")
 }

@@ -37,6 +37,11 @@ use crate::{Finalists, objective_of};
 /// Name of the journal in the run's folder.
 pub const JOURNAL_FILE: &str = "journal";
 
+/// What was asked for leaves a training nothing to drive: what the user can do about it.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct CannotBegin(String);
+
 /// Runs the process until it is asked to stop.
 ///
 /// # Errors
@@ -159,7 +164,7 @@ impl Trainer {
 
     /// Lets the tuner compute what it needs before its first drive, a part at a time: signs of life go between the parts.
     fn prepare(&mut self) -> Result<()> {
-        let done = self.training_mut().prepare().map_err(anyhow::Error::msg)?;
+        let done = self.training_mut().prepare().map_err(CannotBegin)?;
         if done >= 1.0 {
             self.stage = TrainingStage::Replaying;
             return Ok(());

@@ -62,6 +62,9 @@ pub(crate) fn simulated_first(
     let textbook = ensemble.textbook();
     let was_driven = driven.iter().any(|it| it.candidate as usize == textbook);
     let beyond = driven.iter().filter(|it| is_beyond(&it.record, within_m)).count() as u64;
+    let mut missed = driven.iter().filter(|it| config.is_to_arrive() && !it.record.arrived());
+    let not_arrived = missed.clone().count() as u64;
+    let chosen_did_not_arrive = missed.any(|it| it.candidate as usize == chosen);
     let worst_m = driven.iter().map(|it| it.record.path_max_m).fold(0.0, f64::max);
     let (beyond_low, beyond_high) = clopper_pearson(beyond, driven.len() as u64);
     SimulatedFirst {
@@ -72,6 +75,8 @@ pub(crate) fn simulated_first(
         within: candidates.iter().filter(|it| it.stays_within(within_m)).count(),
         drives: driven.len() as u64,
         beyond,
+        not_arrived,
+        chosen_did_not_arrive,
         beyond_low,
         beyond_high,
         worst_m,

@@ -137,9 +137,8 @@ impl Tuner for SimulateFirst {
             if !(0..candidates.len()).any(|it| self.is_within(it)) {
                 let least = candidates.iter().map(|it| it.worst_m).fold(f64::INFINITY, f64::min);
                 return Err(format!(
-                    "tuner.settings.within_m: no set stays within {} m of the path on all {} plants; the nearest leaves \
-                     it by {least:.2} m. Raise --within, or identify the vehicle better and state a narrower spread in \
-                     over.plants",
+                    "--within {}: no set stays so near to the path on all {} simulated plants; the best one is up to {least:.4} m \
+                     from it. Give more, or identify the vehicle better, so that its plants differ less",
                     self.within_m,
                     self.ensemble.plants(),
                 ));
