@@ -389,11 +389,17 @@ fn a_look_ahead_that_only_a_small_car_has_is_promoted_and_driven() {
         "--set",
         "ranking.max_ticks=1",
     ]);
+    args.extend(["--set", "controller.compensate_dead_time=false"]);
     let tuned = sandbox.train("tuned", &args);
     assert_eq!(tuned["gains"]["ld_min"], 0.08);
     gains(&sandbox, &["promote", "tuned", "car.toml", "--force"]);
-    let driven = sandbox.json("driven", &[&["drive"], &of[..]].concat());
-    assert_eq!(driven["gains"][0], tuned["gains"]);
+    for from in [&[][..], &["--from", "tuned"]] {
+        let output = sandbox.run(&[&["drive", "--out", "driven"], &of[..], from].concat());
+        let said = stderr(&output);
+        assert!(said.contains("compensate_dead_time = false, and this drives with true"), "{said}");
+        assert_eq!(sandbox.result("driven")["gains"][0], tuned["gains"]);
+        fs::remove_dir_all(sandbox.path("driven")).unwrap();
+    }
     sandbox.assert_clean();
 }
 

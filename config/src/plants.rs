@@ -266,9 +266,12 @@ impl RunConfig {
         let key = || format!("scale.{}", PlantChange::SPEED);
         let factor = change.speed_factor();
         let own = self.path.speeds_mps.iter().copied().fold(self.reference.speed_mps, f64::max);
-        if !(factor > 0.0 && factor * own <= FASTEST_MPS) {
+        // Nothing drives faster than it may, so a plant that is asked to lags behind whatever the set.
+        let may_mps = self.vehicle.speed_limit_mps.min(self.supervisor.speed_limit_mps);
+        let most_mps = if factor > 1.0 { may_mps.min(FASTEST_MPS) } else { FASTEST_MPS };
+        if !(factor > 0.0 && factor * own <= most_mps) {
             let problem = format!(
-                "is {factor}, but must be above 0, and leave the speed at most {FASTEST_MPS} m/s"
+                "is {factor}, but must be above 0, and leave the speed at most {most_mps} m/s"
             );
             return Err((key(), problem));
         }

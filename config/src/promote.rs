@@ -316,6 +316,7 @@ mod tests {
             vehicle: "tesla_model_3".to_owned(),
             seed: i64::MAX as u64,
             alphas: vec![0.1, 0.5],
+            compensate_dead_time: Some(true),
             noise: true,
             drives: Some(10),
             distance: 0.1 + 0.2,

@@ -163,6 +163,9 @@ pub struct Provenance {
     /// The learning rates of the Q-learning tuners.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub alphas: Vec<f64>,
+    /// Whether the dead time of the steering was compensated; earlier versions did not note it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compensate_dead_time: Option<bool>,
     /// Whether there was noise on the odometry.
     pub noise: bool,
     /// Number of drives of a vehicle that is not our simulator over which the figures are means; absent if they are those

@@ -183,6 +183,10 @@ fn promoted(config: &RunConfig) -> Result<Option<(Vec<Parameters>, String)>, Fai
     let origin = format!("{} ({}){unknown}", config.vehicle_preset, origins.join("; "));
     let parameters = sets.into_iter().map(|(maneuver, set)| {
         let what = format!("{}: gains.{maneuver}", config.vehicle_preset);
+        let compensated = set.provenance.as_ref().and_then(|it| it.compensate_dead_time);
+        if let Some(theirs) = compensated {
+            tell_compensation(&what, theirs, config);
+        }
         check_law(&what, &set.law, config)?;
         config
             .law
@@ -280,11 +284,15 @@ fn tell_what_differs(run: &Path, config: &RunConfig) {
             "--from {run}: its gains were found for {theirs}, and this drives {ours}"
         ));
     }
-    let (theirs, ours) =
-        (of.controller.compensate_dead_time, config.controller.compensate_dead_time);
+    tell_compensation(&format!("--from {run}"), of.controller.compensate_dead_time, config);
+}
+
+/// Tells if gains were found with the dead time compensated, and this drives without, or the other way around.
+fn tell_compensation(whose: &str, theirs: bool, config: &RunConfig) {
+    let ours = config.controller.compensate_dead_time;
     if theirs != ours {
         tell_once(&format!(
-            "--from {run}: its gains were found with controller.compensate_dead_time = {theirs}, and this drives with {ours}"
+            "{whose}: these gains were found with controller.compensate_dead_time = {theirs}, and this drives with {ours}"
         ));
     }
 }

@@ -414,6 +414,7 @@ impl Trained {
             tuner: Some(training.tuner.clone()),
             objective: Some(decided.objective.clone()),
             alphas: training.learners.iter().filter_map(|learner| learner.alpha).collect(),
+            compensate_dead_time: Some(config.controller.compensate_dead_time),
             noise: config.noise.enabled,
             drives: training.vehicle_drives.map(|_| training.spread.map_or(1, |it| it.drives)),
             distance: training.measures.distance,
