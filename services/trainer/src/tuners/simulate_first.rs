@@ -137,7 +137,7 @@ impl Tuner for SimulateFirst {
             if !(0..candidates.len()).any(|it| self.is_within(it)) {
                 let least = candidates.iter().map(|it| it.worst_m).fold(f64::INFINITY, f64::min);
                 return Err(format!(
-                    "--within {}: no set stays so near to the path on all {} simulated plants; the best one is up to {least:.4} m \
+                    "--within {} (tuner.settings.within_m): no set stays so near to the path on all {} simulated plants; the best one is up to {least:.4} m \
                      from it. Give more, or identify the vehicle better, so that its plants differ less",
                     self.within_m,
                     self.ensemble.plants(),

@@ -269,6 +269,6 @@ fn where_no_set_stays_near_the_path_nothing_is_driven() {
             Err(why) => break why,
         }
     };
-    assert!(why.contains("within_m") && why.contains("on all 8 plants"), "{why}");
+    assert!(why.contains("within_m") && why.contains("on all 8 simulated plants"), "{why}");
     assert_eq!(tuner.wanted(0), None);
 }
