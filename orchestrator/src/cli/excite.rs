@@ -7,11 +7,11 @@ use clap::Args;
 /// Options of `excite`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "It stands for 1 s and drives 46 s, some 90 m by 30 m at 2 m/s, or 30 m by 30 m with --compact (what your car needs is told
-first): 3 s straight on, steering
-steps, a sine that gets quicker, and speeds of up to twice that of the steps. It follows no path, so the gate does not
-watch the path; --box keeps the car on its ground. Nor does it watch how the car responds, because that is what the drive is to find. Everything else in
-the gate is on: have the room, and a hand on the car's own stop.
+    after_help = "It stands for 1 s and drives for 46 s: 3 s straight on, steering steps, a sine that gets quicker, and speeds of
+up to twice that of the steps. It takes some 90 m by 30 m at 2 m/s, or 30 m by 30 m with --compact; what your car needs is
+told first. It follows no path, so the gate does not watch the path; --box keeps the car on its ground. Nor does the gate
+watch how the car responds, because that is what the drive is to find. All else in the gate is on: have the room, and a
+hand on the car's own stop.
 
 Examples:
   pathtune excite --vehicle car.toml

@@ -32,11 +32,12 @@ pub(super) fn print(it: &SimulatedFirst, config: &RunConfig) -> Result<(), Failu
             "{} of {} drives of the vehicle did not arrive{}",
             it.not_arrived,
             it.drives,
-            match it.chosen_did_not_arrive {
-                true =>
-                    ", one with the chosen set among them, which arrives on the simulated plants: this car is none of them; identify \
-                     it, or look for what is wrong with a drive (pathtune drive)",
-                false => "",
+            match (it.chosen_did_not_arrive, it.fresh.not_arrived) {
+                (true, 0) =>
+                    ", one with the chosen set among them; that set arrives on all plants that chose nothing, so this car is not \
+                     like them: identify it, or look for what is wrong with a drive (pathtune drive)",
+                (true, _) => ", one with the chosen set among them",
+                (false, _) => "",
             }
         );
     }

@@ -13,7 +13,8 @@ pub(crate) const Z95: f64 = 1.96;
 /// A fit that is worse by no more than this (twice the logarithm of the likelihood) agrees with the value that it was held
 /// at.
 const AGREES: f64 = 1.0;
-/// The fit says nothing of a parameter with a wider half of an interval but where it may lie: as a logarithm, a factor of ten.
+/// A fit does not say what a parameter with a wider half of an interval is, only what it cannot be: as a logarithm, a factor of
+/// ten.
 const MOST_ROUGH: f64 = 2.3;
 /// A drive that would be no worse than this by a value without end has not seen the parameter's effect.
 const UNSEEN: f64 = 15.0;

@@ -391,8 +391,8 @@ fn warnings(found: &Identification, of_steering: &Fitted) -> Vec<String> {
             false => ("yaw rate", "comes", "poses"),
         };
         warnings.push(format!(
-            "the {one} in the odometry {comes} {:.0} ms after the {other}, which suits a slow filter; steering_delay_s is that of the \
-             yaw rate, and a controller steers by the poses: for it, the dead time is {:.3} s",
+            "the {one} in the odometry {comes} {:.0} ms after the {other}, as with a slow filter; steering_delay_s is the dead time \
+             until the yaw rate, but a controller steers by the poses: for it, the dead time is {:.3} s",
             1e3 * age_s.abs(),
             (of_steering.at[steering::DELAY] + age_s).max(0.0)
         ));
