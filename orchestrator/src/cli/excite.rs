@@ -7,10 +7,10 @@ use clap::Args;
 /// Options of `excite`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "It stands for 1 s and drives for 46 s: 3 s straight on, steering steps, a sine that gets quicker, and speeds of
-up to twice that of the steps. It takes some 90 m by 30 m at 2 m/s, or 30 m by 30 m with --compact; what your car needs is
-told first. It follows no path, so the gate does not watch the path; --box keeps the car on its ground. Nor does the gate
-watch how the car responds, because that is what the drive is to find. All else in the gate is on: have the room, and a
+    after_help = "It stands for 1 s and drives for 46 s: 3 s straight on, steering steps, a sine that gets quicker, and speeds of \
+up to twice that of the steps. It takes some 90 m by 30 m at 2 m/s, or 30 m by 30 m with --compact; what your car needs is \
+told first. It follows no path, so the gate does not watch the path; --box keeps the car on its ground. Nor does the gate \
+watch how the car responds, because that is what the drive is to find. All else in the gate is on: have the room, and a \
 hand on the car's own stop.
 
 Examples:
