@@ -115,6 +115,9 @@ pub struct LawConfig {
     pub name: String,
     /// What it is, in one line.
     pub summary: String,
+    /// Whether it is to follow the path. If not, distances from the path say nothing of it, and it cannot be tuned.
+    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    pub follows_path: bool,
     /// What is tuned, in the law's order.
     pub parameters: Vec<ParameterConfig>,
     /// The law's own settings, which are not tuned.
@@ -123,6 +126,14 @@ pub struct LawConfig {
     /// The words that a setting may be, by its key; for settings that are words.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub choices: BTreeMap<String, Vec<String>>,
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn is_true(it: &bool) -> bool {
+    *it
 }
 
 /// One parameter of a law.

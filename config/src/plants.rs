@@ -336,6 +336,11 @@ pub(crate) fn validate(config: &RunConfig) -> Result<(), Problem> {
         return Err(("over.plants".to_owned(), problem));
     }
     for (index, change) in config.over.plants.iter().enumerate() {
+        if config.over.plants[..index].iter().any(|it| it.name == change.name) {
+            let problem =
+                format!("\"{}\" is the name of an earlier plant; give each its own", change.name);
+            return Err((format!("over.plants[{index}].name"), problem));
+        }
         let at = |(key, problem)| (format!("over.plants[{index}].{key}"), problem);
         config.check_plant(change).map_err(at)?;
     }

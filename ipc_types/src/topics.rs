@@ -30,6 +30,11 @@ impl WakeRole {
         WakeRole::Recorder,
     ];
 
+    /// Whether the role belongs to a ring: a run may have several rings, and one of each other role.
+    pub fn is_of_ring(self) -> bool {
+        matches!(self, WakeRole::Vehicle | WakeRole::Controller | WakeRole::Supervisor)
+    }
+
     /// Name of the event that wakes the role.
     pub fn event_name(self) -> &'static str {
         match self {

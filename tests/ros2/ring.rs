@@ -64,6 +64,7 @@ impl Ring {
             names: RunNames { run, root },
             folder,
             max_len: 1,
+            ring: 0,
             incarnation: 1,
             core: None,
             wait: Wait::default(),

@@ -61,7 +61,8 @@ pub fn spread(law: &str, sets: usize) -> anyhow::Result<Vec<String>> {
 
 /// The laws that have rows of their own: all that follow a path but [`LAW`].
 fn other_laws() -> impl Iterator<Item = &'static str> {
-    config::names_in("laws").filter(|name| ![LAW, "excitation"].contains(name))
+    config::names_in("laws")
+        .filter(|name| *name != LAW && config::law_preset(name).is_some_and(|law| law.follows_path))
 }
 
 /// Nanoseconds a tick.

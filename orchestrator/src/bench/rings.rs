@@ -42,6 +42,7 @@ fn ring_on(names: &RunNames, transport: Transport, fleet: usize) -> Result<Timin
         names: names.clone(),
         folder: names.root.clone(),
         max_len: fleet,
+        ring: 0,
         incarnation: 1,
         core: claim.as_ref().map(|claim| claim.core),
         wait: Wait::default(),

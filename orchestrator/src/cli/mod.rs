@@ -390,6 +390,10 @@ pub struct SetupArgs {
     /// How the processes of the ring wait for each other
     #[arg(long, value_enum, default_value_t = WaitArg::Auto)]
     pub wait: WaitArg,
+    /// How many rings of processes share the drives, each on a core of its own [default: one for 32 vehicles of the fleet, while
+    /// cores are free]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=32))]
+    pub rings: Option<u8>,
     /// When driving by the clock: request SCHED_FIFO with this priority, and locked memory [default: 50]
     #[arg(
         long,

@@ -76,6 +76,7 @@ fn config_of(args: &CompareArgs, law: Option<&str>, tuner: &str) -> Result<RunCo
         layers.put("--continuous", "tuner.settings.draw", "continuous")?;
     }
     let mut config = layers.resolve()?;
+    setup::check_law(&config.law)?;
     // Computed by plain calls, in which the same drive is the same again.
     config.run.memo = true;
     if config.noise.enabled && config.robust.engage_gear {

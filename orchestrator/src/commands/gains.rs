@@ -250,6 +250,13 @@ fn promote(
             )));
         }
     }
+    if trained.misses && !force {
+        return Err(Failure::User(format!(
+            "{}: a drive with the set does not arrive; train with more drives, other bounds or another law, or insist with \
+             --force",
+            run.display()
+        )));
+    }
     // With the car that is to drive with them, which may be later than the one of the training.
     let margin = trained.margin(&vehicle, margin_of);
     let by_margin = || Some(format!("with this vehicle {}", margin.as_ref()?.why_fragile()?));
@@ -342,6 +349,8 @@ struct Trained {
     on_bound: Vec<String>,
     /// Why its gains are fragile, if they are.
     fragile: Option<String>,
+    /// Whether a drive with them does not arrive although it is to.
+    misses: bool,
 }
 
 impl Trained {
@@ -431,6 +440,7 @@ impl Trained {
         };
         let plants = training.plants.as_ref();
         let maneuver = config.gains_name();
+        let misses = config.is_to_arrive() && !training.measures.arrived;
         Ok(Self {
             maneuver,
             law: config.law.name.clone(),
@@ -440,6 +450,7 @@ impl Trained {
             config,
             on_bound: training.on_bound.clone(),
             fragile: plants.and_then(|it| it.fragile.clone()),
+            misses,
         })
     }
 

@@ -116,6 +116,7 @@ pub fn replay(
         chaos: None,
         quiet: true,
         wait: None,
+        rings: Some(1),
         fifo: None,
         interrupted,
     };

@@ -85,6 +85,7 @@ pub(crate) fn grid(args: &GridArgs, services: Services) -> Result<EndedRun, Fail
         layers.put("--noise", "noise.enabled", true)?;
     }
     let mut config = layers.resolve()?;
+    setup::check_law(&config.law)?;
     if config.steps_differ() {
         let why = "noise.enabled: a grid is driven without noise, unless it is driven over plants; leave this key out, or \
                    add --over";

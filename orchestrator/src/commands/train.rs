@@ -14,6 +14,7 @@ use crate::runs::result::{conclude, write_result};
 use crate::runs::running::{RunFacts, run_or_unmake};
 use crate::runs::setup::{self, Folder, Ready};
 use crate::words::Failure;
+use crate::words::terminal::tell_once;
 
 /// The tuner of `--simulate-first`.
 const SIMULATE_FIRST: &str = "simulate-first";
@@ -88,6 +89,10 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
         layers.put("--simulate-first", "tuner.settings.plants", i64::from(plants))?;
     }
     if let Some(within_m) = args.within {
+        if tuner != Some(SIMULATE_FIRST) {
+            let why = "--within: keeps to sets that were simulated first; add --simulate-first N";
+            return Err(Failure::User(why.to_owned()));
+        }
         layers.put("--within", "tuner.settings.within_m", within_m)?;
     }
     if let Some(alphas) = &args.alphas {
@@ -124,6 +129,16 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
         check_plants(&layers.clone().resolve()?, launch)?;
     }
     let mut config = layers.resolve()?;
+    setup::check_law(&config.law)?;
+    if args.episodes.is_some()
+        && let Some(drives) = config.tuner.settings.0.get("drives")
+    {
+        tell_once(&format!(
+            "--episodes: the tuner {} has none and makes {drives} drives (--drives); only what stands beside it is trained so \
+             long",
+            config.learning.tuner
+        ));
+    }
     if config.learning.tuner == SIMULATE_FIRST && config.plants() > 1 {
         let why = "over.by: the tuner simulate-first has plants of its own, tuner.settings.plants of them; leave it \"nominal\"";
         return Err(Failure::User(why.to_owned()));

@@ -60,6 +60,7 @@ pub(crate) fn conformance(args: &ConformanceArgs) -> Result<bool, Failure> {
         names: private.names.clone(),
         folder: folder.clone(),
         max_len: MAX_SLOTS,
+        ring: 0,
         incarnation: 0,
         core: None,
         wait: Wait::default(),

@@ -1,4 +1,5 @@
-//! A pipeline has one core, or one for each process of its ring; this file finds cores that are free.
+//! A ring of a pipeline has one core, or one for each of its processes; this file finds cores that are free, and decides how many
+//! rings there are.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
@@ -9,6 +10,8 @@ use rustix::net::sockopt::socket_peercred;
 use rustix::process::geteuid;
 use rustix::thread::{CpuSet, sched_getaffinity};
 
+use crate::pipeline::plan::Plan;
+
 /// Where the processes of a pipeline's ring run, and how they wait for each other.
 #[derive(Debug)]
 pub(crate) struct Placement {
@@ -18,6 +21,30 @@ pub(crate) struct Placement {
 }
 
 impl Placement {
+    /// Where each ring of a pipeline runs. There are as many rings as the plan says, or else as free cores can be kept busy: a
+    /// drive comes out the same in any of them.
+    pub(crate) fn of_rings(plan: &Plan, realtime: bool) -> Vec<Self> {
+        let fleet = plan.config.fleet();
+        let useful = (fleet / VEHICLES_OF_RING).clamp(1, MOST_RINGS);
+        let wanted = plan.rings.unwrap_or(useful);
+        let first = Self::new(plan.wait, fleet.div_ceil(wanted), realtime);
+        let wait = first.wait;
+        let mut rings = vec![first];
+        while rings.len() < wanted {
+            let core = CoreClaim::unshared();
+            if core.is_none() && plan.rings.is_none() {
+                break;
+            }
+            rings.push(match (wait, core) {
+                (Wait::Spin, _) => Self::new(Some(wait), fleet, realtime),
+                (_, core) => {
+                    Self { wait, cores: core.or_else(CoreClaim::shared).into_iter().collect() }
+                }
+            });
+        }
+        rings
+    }
+
     /// For a pipeline that waits as `wanted`, or else as suits the machine.
     pub(crate) fn new(wanted: Option<Wait>, fleet: usize, realtime: bool) -> Self {
         // Cores are claimed only if they may be used: until they are released, others would find them taken.
@@ -54,6 +81,11 @@ impl Placement {
         self.cores.iter().map(|claim| claim.core)
     }
 }
+
+/// A ring is worth its processes if it drives so many vehicles at once: with fewer, most of a tick is the hand-over.
+const VEHICLES_OF_RING: usize = 32;
+/// More rings than this have little use for what one trainer asks for.
+const MOST_RINGS: usize = 8;
 
 /// A claim on a core for a ring or one of its processes. Other pipelines see it for as long as this exists.
 #[derive(Debug)]

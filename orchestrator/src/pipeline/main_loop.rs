@@ -8,15 +8,15 @@ use std::time::Duration;
 
 use config::launch::Role;
 use ipc_types::{
-    Attempt, BatchHeader, DriveOutcome, DriveReport, DriveRequest, LearnerProgress, Proposal,
-    Safety, Status, WakeRole, WirePose, has,
+    Attempt, BatchHeader, DriveOutcome, LearnerProgress, Proposal, Safety, Status, WakeRole,
+    WirePose, has,
 };
 use outcome::RecordingFacts;
 use runtime::chaos::{self, Script};
 use runtime::clock::now_ns;
 use runtime::observer::CORE_FILE;
 use runtime::run::RunNames;
-use runtime::{Alarm, Attachment, Bus, Inlet, Outlet, Waiting};
+use runtime::{Alarm, Attachment, Inlet, Outlet, Waiting};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 use signal_hook::consts::SIGINT;
@@ -31,6 +31,7 @@ use crate::pipeline::process::clean_up_behind;
 use crate::pipeline::progress::Progress;
 use crate::pipeline::recovery::{RandomKills, Recoveries};
 use crate::pipeline::restart::Decision;
+use crate::pipeline::ring::Ring;
 use crate::pipeline::sequencer::Sequencer;
 use crate::pipeline::standing::{Due, Standing};
 use crate::runs::state::RunState;
@@ -68,15 +69,11 @@ const NO_BRAKE: &str =
 /// A running pipeline.
 pub(crate) struct Pipeline<'a> {
     attachment: Attachment,
-    bus: Bus,
     alarm: Alarm,
-    status: Inlet<Status>,
     proposals: Inlet<Proposal>,
-    reports: Inlet<DriveReport>,
     learner_progress: Inlet<LearnerProgress>,
-    safety: Inlet<Safety>,
-    requests: Outlet<DriveRequest>,
     outcomes: Outlet<DriveOutcome>,
+    rings: Vec<Ring>,
     members: Vec<Member>,
     sequencer: Sequencer,
     progress: &'a mut Progress,
@@ -87,39 +84,24 @@ pub(crate) struct Pipeline<'a> {
     by_clock: bool,
     /// Stops of a fleet in lockstep.
     stops_told: u64,
-    /// The gate of each slot.
-    gates: Vec<GateLog>,
     /// For what a vehicle waits, and the reasons of the stop that ended the drive because nobody came.
     standing: Standing,
     out_of_patience: Option<u32>,
     patience_s: f64,
     /// A negative speed may be commanded, which brakes the vehicle.
     brakes: bool,
-    /// A process of the ring died, or a message was lost: the batch under way will not end.
-    batch_is_broken: bool,
-    /// The latest batch and tick that any process reported; `seen_ns` is when that of any process last changed.
-    seen: (u64, u64),
-    seen_ns: u64,
-    /// What the processes had waited for a processor by then.
-    seen_waited_ns: u64,
-    /// Attempts at the batch under way that stalled.
-    stalls_in_a_row: u32,
-    /// Attempts at the batch under way in which a vehicle was stopped for what does not lie in the drive.
-    stops_in_a_row: u32,
     random_kills: RandomKills,
     recoveries: Recoveries,
     observers: ObserverCare,
     state_file: StateFile,
     /// The trainer has written its outcome.
     is_over: bool,
-    /// When the batch under way was issued; then the time and ticks of all earlier batches.
-    issued_ns: u64,
+    /// Time and ticks of all batches that have ended.
     driving_ns: u64,
     driving_ticks: u64,
     reaped_ns: u64,
     warned_ns: u64,
     started_ns: u64,
-    placement: Placement,
 }
 
 impl<'a> Pipeline<'a> {
@@ -132,14 +114,21 @@ impl<'a> Pipeline<'a> {
         let config = &plan.config;
         let max_len = config.fleet().max(config.drivers());
         let realtime = plan.sweep.as_ref().is_some_and(|sweep| sweep.realtime);
-        let placement = Placement::new(plan.wait, config.fleet(), realtime || config.run.realtime);
-        let bus = Bus::create(names, max_len)?.waiting(placement.wait);
-        let cores: Vec<String> = placement.cores().map(|core| core.to_string()).collect();
+        let placements = Placement::of_rings(plan, realtime || config.run.realtime);
+        let wait = placements[0].wait;
+        let cores: Vec<String> =
+            placements.iter().flat_map(Placement::cores).map(|core| core.to_string()).collect();
         if !cores.is_empty() {
             // Observers do not touch them.
             let _ = fs::write(names.root.join(CORE_FILE), cores.join(" "));
         }
-        tracing::info!(waiting = placement.wait.name(), ?cores, "placed");
+        tracing::info!(waiting = wait.name(), ?cores, rings = placements.len(), "placed");
+        let rings: Vec<Ring> = placements
+            .into_iter()
+            .enumerate()
+            .map(|(number, placement)| Ring::create(names, max_len, number, placement))
+            .collect::<Result<_, _>>()?;
+        let bus = &rings[0].bus;
         let random_kills = match &plan.chaos {
             None => RandomKills::new(0.0, 1),
             Some((script, seed)) => {
@@ -152,32 +141,33 @@ impl<'a> Pipeline<'a> {
         let learners = if plan.sweep.is_some() { u32::MAX } else { config.drivers() as u32 };
         let start = config.path.start;
         let start = WirePose { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };
-        let mut sequencer = Sequencer::new(names.run, start, config.fleet(), learners);
+        let mut sequencer = Sequencer::new(names.run, start, config.fleet(), rings.len(), learners);
         if plan.launch.is_recorded() {
             sequencer.log_all();
         }
-        let members = plan.launch.process.iter().map(|entry| Member::new(entry, plan)).collect();
+        let of_ring = |ring: usize| {
+            let members =
+                plan.launch.process.iter().map(move |entry| Member::new(entry, plan, ring));
+            members.filter(move |member| ring == 0 || member.place_in_ring().is_some())
+        };
+        let members = (0..rings.len()).flat_map(of_ring).collect();
         Ok(Self {
             attachment: Attachment {
                 names: names.clone(),
                 folder: plan.folder.clone(),
                 max_len,
+                ring: 0,
                 incarnation: 0,
                 core: None,
-                wait: placement.wait,
+                wait,
                 fifo: plan.fifo,
                 parent: std::process::id() as i32,
                 chaos: plan.chaos.clone(),
             },
             alarm: bus.alarm(WakeRole::Orchestrator)?,
-            status: bus.inlet()?,
             proposals: bus.inlet()?,
-            reports: bus.inlet()?,
             learner_progress: bus.inlet()?,
-            safety: bus.inlet()?,
-            requests: bus.outlet()?,
             outcomes: bus.outlet()?,
-            bus,
             members,
             sequencer,
             progress,
@@ -185,29 +175,21 @@ impl<'a> Pipeline<'a> {
             realtime,
             by_clock: false,
             stops_told: 0,
-            gates: Vec::new(),
             standing: Standing::new(config),
             out_of_patience: None,
             patience_s: config.drive.patience_s,
             brakes: config.vehicle.safety.reverse_limit_mps > 0.0,
-            batch_is_broken: false,
-            seen: (0, 0),
-            seen_ns: 0,
-            seen_waited_ns: 0,
-            stalls_in_a_row: 0,
-            stops_in_a_row: 0,
             random_kills,
             recoveries: Recoveries::default(),
             observers: ObserverCare::default(),
-            state_file: StateFile::new(names, plan),
+            state_file: StateFile::new(names, plan, rings.len()),
+            rings,
             is_over: false,
-            issued_ns: 0,
             driving_ns: 0,
             driving_ticks: 0,
             reaped_ns: 0,
             warned_ns: 0,
             started_ns: now_ns(),
-            placement,
         })
     }
 
@@ -225,7 +207,8 @@ impl<'a> Pipeline<'a> {
             wall_s: (now_ns() - self.started_ns) as f64 / 1e9,
             tick_ns: self.driving_ns as f64 / self.driving_ticks.max(1) as f64,
             recording: self.recording(),
-            waiting: self.placement.wait.name(),
+            waiting: self.rings[0].placement.wait.name(),
+            rings: self.rings.len(),
         })
     }
 
@@ -248,10 +231,10 @@ impl<'a> Pipeline<'a> {
             }
             let mut heard = self.hear_status()?;
             self.look_after_members()?;
-            self.look_after_batch()?;
+            self.look_after_batches()?;
             heard |= self.hear_trainer()?;
-            heard |= self.hear_controller()?;
-            heard |= self.hear_gate()?;
+            heard |= self.hear_controllers()?;
+            heard |= self.hear_gates()?;
             self.look_after_waiting();
             if self.is_over || self.out_of_patience.is_some() {
                 return Ok(None);
@@ -267,13 +250,22 @@ impl<'a> Pipeline<'a> {
 
     /// Takes signs of life: which processes are ready, and still alive.
     fn hear_status(&mut self) -> Result<bool, Failure> {
+        let mut heard = false;
+        for ring in 0..self.rings.len() {
+            heard |= self.hear_status_of(ring)?;
+        }
+        Ok(heard)
+    }
+
+    fn hear_status_of(&mut self, ring: usize) -> Result<bool, Failure> {
         let (mut heard, mut ticked) = (false, false);
-        while let Some(message) = self.status.receive()? {
+        while let Some(message) = self.rings[ring].status.receive()? {
             heard = true;
             let Some(status) = message.items().first().copied() else { continue };
             let from_this_run = message.header().attempt.is_of(self.attachment.names.run);
             let member = self.members.iter_mut().find(|member| {
-                member.wire_role() == status.role && member.incarnation == status.incarnation
+                (member.ring, member.wire_role(), member.incarnation)
+                    == (ring, status.role, status.incarnation)
             });
             let Some(member) = member.filter(|_| from_this_run && status.state == Status::READY)
             else {
@@ -287,11 +279,12 @@ impl<'a> Pipeline<'a> {
                 ));
             }
             // Each process is compared with itself: they are at different ticks even when all have stopped.
-            let is_known = status.batch <= self.sequencer.batch();
+            let is_known = status.batch <= self.sequencer.batch(ring);
             if is_known && (status.batch, status.tick) != member.seen {
                 member.seen = (status.batch, status.tick);
-                self.seen = self.seen.max(member.seen);
-                self.seen_ns = now_ns();
+                let ring = &mut self.rings[ring];
+                ring.seen = ring.seen.max(member.seen);
+                ring.seen_ns = now_ns();
                 ticked = true;
             }
             if self.realtime && member.is_ready() {
@@ -317,7 +310,7 @@ impl<'a> Pipeline<'a> {
             }
         }
         if ticked {
-            self.seen_waited_ns = self.waited_ns();
+            self.rings[ring].seen_waited_ns = self.waited_ns(ring);
         }
         Ok(heard)
     }
@@ -346,18 +339,21 @@ impl<'a> Pipeline<'a> {
     }
 
     /// Takes the reports of batches that have ended.
-    fn hear_controller(&mut self) -> Result<bool, Failure> {
+    fn hear_controllers(&mut self) -> Result<bool, Failure> {
         let mut heard = false;
-        while let Some(message) = self.reports.receive()? {
-            heard = true;
-            if let Some(outcomes) = self.sequencer.report(message.header(), message.items()) {
-                self.batch_is_broken = false;
-                self.stalls_in_a_row = 0;
-                self.stops_in_a_row = 0;
-                self.driving_ns += now_ns() - self.issued_ns;
+        for number in 0..self.rings.len() {
+            while let Some(message) = self.rings[number].reports.receive()? {
+                heard = true;
+                let outcomes = self.sequencer.report(number, message.header(), message.items());
+                let Some(outcomes) = outcomes else { continue };
+                let ring = &mut self.rings[number];
+                ring.batch_is_broken = false;
+                ring.stalls_in_a_row = 0;
+                ring.stops_in_a_row = 0;
+                self.driving_ns += now_ns() - ring.issued_ns;
                 self.driving_ticks +=
                     outcomes.iter().map(|outcome| outcome.report.ticks).max().unwrap_or_default();
-                for member in &mut self.members {
+                for member in self.members.iter_mut().filter(|it| it.works_for(number)) {
                     member.policy.gets_on();
                 }
                 self.tell_trainer(&outcomes)?;
@@ -367,13 +363,22 @@ impl<'a> Pipeline<'a> {
     }
 
     /// Tells the user when a gate has stopped its vehicle, or lets it drive again.
-    fn hear_gate(&mut self) -> Result<bool, Failure> {
+    fn hear_gates(&mut self) -> Result<bool, Failure> {
         let mut heard = false;
-        while let Some(message) = self.safety.receive()? {
+        for ring in 0..self.rings.len() {
+            heard |= self.hear_gate_of(ring)?;
+        }
+        Ok(heard)
+    }
+
+    fn hear_gate_of(&mut self, number: usize) -> Result<bool, Failure> {
+        let mut heard = false;
+        let ring = &mut self.rings[number];
+        while let Some(message) = ring.safety.receive()? {
             heard = true;
             let fleet = message.items().len();
-            self.gates.resize_with(fleet, GateLog::default);
-            for (slot, (gate, now)) in self.gates.iter_mut().zip(message.items()).enumerate() {
+            ring.gates.resize_with(fleet, GateLog::default);
+            for (slot, (gate, now)) in ring.gates.iter_mut().zip(message.items()).enumerate() {
                 let begins = gate.begins(now.reasons & Safety::TOLD);
                 if begins != 0 {
                     let what = describe_reasons(begins);
@@ -419,16 +424,16 @@ impl<'a> Pipeline<'a> {
                         self.progress.notice(&format!("vehicle {slot} stands"));
                         // There is nobody to rearm the vehicle: the drive is made again from the start. A stop for how
                         // it drove is the drive's result instead.
-                        let drives = self.sequencer.is_driving();
+                        let drives = self.sequencer.is_driving(number);
                         if self.by_clock && !self.realtime && !of_the_drive && drives {
-                            self.stops_in_a_row += 1;
-                            if self.stops_in_a_row > STOPS_IN_A_ROW {
+                            ring.stops_in_a_row += 1;
+                            if ring.stops_in_a_row > STOPS_IN_A_ROW {
                                 return Err(Failure::GaveUp(format!(
                                     "gave up: the vehicle was stopped {STOPS_IN_A_ROW} times on the same drive, and \
                                      again: {why}"
                                 )));
                             }
-                            self.batch_is_broken = true;
+                            ring.batch_is_broken = true;
                         }
                     }
                     state => {
@@ -444,13 +449,14 @@ impl<'a> Pipeline<'a> {
 
     /// A drive by the clock waits for people, but not for ever.
     fn look_after_waiting(&mut self) {
-        if !self.realtime || !self.sequencer.is_driving() {
+        // By the clock there is one ring.
+        if !self.realtime || !self.sequencer.is_driving(0) {
             return;
         }
-        let now_ns = now_ns();
-        let begins = self.seen.0 == self.sequencer.batch() && self.seen.1 > 0;
+        let (now_ns, ring) = (now_ns(), &self.rings[0]);
+        let begins = ring.seen.0 == self.sequencer.batch(0) && ring.seen.1 > 0;
         let due = match self.standing.due(now_ns, describe_reasons) {
-            None if !begins => self.standing.due_at_start(now_ns, self.issued_ns),
+            None if !begins => self.standing.due_at_start(now_ns, ring.issued_ns),
             due => due,
         };
         match due {
@@ -470,39 +476,53 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// Issues the next batch, or reissues the broken one, once all processes are ready.
+    /// Whether all processes that a batch of this ring needs are ready.
+    fn is_ready(&self, ring: usize) -> bool {
+        self.members.iter().filter(|it| it.works_for(ring)).all(Member::is_ready)
+    }
+
+    /// Issues the next batch of each ring, or reissues the broken one, once all of its processes are ready.
     fn drive(&mut self) -> Result<(), Failure> {
-        if !self.members.iter().all(Member::is_ready) {
-            return Ok(());
+        let ready: Vec<usize> = (0..self.rings.len()).filter(|ring| self.is_ready(*ring)).collect();
+        let mut free = ready.iter().filter(|ring| !self.sequencer.is_driving(**ring)).count();
+        for number in ready {
+            let was_free = !self.sequencer.is_driving(number);
+            self.drive_in(number, free)?;
+            free -= usize::from(was_free);
         }
-        let broken = std::mem::take(&mut self.batch_is_broken);
-        let batch = if broken { self.sequencer.reissue() } else { None }.map(|(header, drives)| {
+        Ok(())
+    }
+
+    /// As [`Pipeline::drive`], in one ring; `free` rings could begin a batch now.
+    fn drive_in(&mut self, number: usize, free: usize) -> Result<(), Failure> {
+        let ring = &mut self.rings[number];
+        let broken = std::mem::take(&mut ring.batch_is_broken);
+        let batch = if broken { self.sequencer.reissue(number) } else { None };
+        if let Some((header, _)) = batch {
             let Attempt { batch, attempt, .. } = header.attempt;
             tracing::info!(batch, attempt, "reissued");
-            (header, drives)
-        });
+        }
         let Some((header, drives)) = (match batch {
             Some(batch) => Some(batch),
-            None => self.sequencer.next_batch(),
+            None => self.sequencer.next_batch(number, free),
         }) else {
             return Ok(());
         };
         let header = BatchHeader { sent_ns: now_ns(), ..header };
-        self.requests.send(header, drives.len(), |index| drives[index])?;
-        self.issued_ns = header.sent_ns;
-        self.seen_ns = header.sent_ns;
+        ring.requests.send(header, drives.len(), |index| drives[index])?;
+        ring.issued_ns = header.sent_ns;
+        ring.seen_ns = header.sent_ns;
         self.recoveries.mended(now_ns());
         Ok(())
     }
 
-    /// Drives a batch again if it has stalled: without a tick for so long, it has lost a message.
-    ///
-    /// A vehicle that may take its time to come to the start has no such deadline for its first tick.
-    fn look_after_batch(&mut self) -> Result<(), Failure> {
+    /// Drives batches again that have stalled, and tells how far the first one is.
+    fn look_after_batches(&mut self) -> Result<(), Failure> {
         let now = now_ns();
-        self.state_file.write(now, &self.members, &self.sequencer, self.seen);
-        if self.sequencer.is_driving() && self.seen.0 == self.sequencer.batch() {
-            self.progress.show_tick(self.seen.1, self.sequencer.ticks());
+        let (seen, batch) = (self.rings[0].seen, self.sequencer.batch(0));
+        self.state_file.write(now, &self.members, &self.sequencer, seen);
+        if self.sequencer.is_driving(0) && seen.0 == batch {
+            self.progress.show_tick(seen.1, self.sequencer.ticks(0));
         }
         if now.saturating_sub(self.warned_ns) >= WARN_EVERY_NS {
             self.warned_ns = now;
@@ -511,44 +531,53 @@ impl<'a> Pipeline<'a> {
                 self.tell_warnings();
             }
         }
+        (0..self.rings.len()).try_for_each(|ring| self.look_after_batch(ring, now))
+    }
+
+    /// Drives a batch again if it has stalled: without a tick for so long, it has lost a message.
+    ///
+    /// A vehicle that may take its time to come to the start has no such deadline for its first tick.
+    fn look_after_batch(&mut self, number: usize, now: u64) -> Result<(), Failure> {
+        let ring = &self.rings[number];
         let patient = self.members.iter().any(|member| !member.entry.is_deterministic());
-        let waits_for_start = patient && self.seen_ns <= self.issued_ns;
+        let waits_for_start = patient && ring.seen_ns <= ring.issued_ns;
         if self.realtime
-            || !self.sequencer.is_driving()
-            || self.batch_is_broken
+            || !self.sequencer.is_driving(number)
+            || ring.batch_is_broken
             || waits_for_start
-            || now.saturating_sub(self.seen_ns) < STALLED_AFTER_NS
-            || !self.members.iter().all(Member::is_ready)
+            || now.saturating_sub(ring.seen_ns) < STALLED_AFTER_NS
+            || !self.is_ready(number)
         {
             return Ok(());
         }
         // A loaded machine is slow, not broken: the time that the ring waited for a processor does not count.
-        let waited_ns = self.waited_ns();
-        let excused_ns = waited_ns.saturating_sub(self.seen_waited_ns);
-        let silent_ns = now.saturating_sub(self.seen_ns);
+        let excused_ns = self.waited_ns(number).saturating_sub(ring.seen_waited_ns);
+        let silent_ns = now.saturating_sub(ring.seen_ns);
         if silent_ns.saturating_sub(excused_ns) < STALLED_AFTER_NS && silent_ns < STALLED_AT_LAST_NS
         {
             return Ok(());
         }
-        self.stalls_in_a_row += 1;
-        if self.stalls_in_a_row > STALLS_IN_A_ROW {
-            let (batch, tick) = (self.sequencer.batch(), self.seen.1);
+        let ring = &mut self.rings[number];
+        ring.stalls_in_a_row += 1;
+        let batch = self.sequencer.batch(number);
+        if ring.stalls_in_a_row > STALLS_IN_A_ROW {
             return Err(Failure::GaveUp(format!(
-                "gave up: batch {batch} stalled {STALLS_IN_A_ROW} times in a row, the last time at tick {tick}, \
+                "gave up: batch {batch} stalled {STALLS_IN_A_ROW} times in a row, the last time at tick {}, \
                  although every process shows signs of life; look into {}",
+                ring.seen.1,
                 self.attachment.folder.join("logs").display(),
             )));
         }
-        tracing::warn!(batch = self.sequencer.batch(), seen = ?self.seen, "stalled");
+        tracing::warn!(batch, seen = ?ring.seen, "stalled");
         self.recoveries.stalls += 1;
-        self.recoveries.broken(self.seen_ns);
-        self.batch_is_broken = true;
+        self.recoveries.broken(ring.seen_ns);
+        ring.batch_is_broken = true;
         Ok(())
     }
 
-    /// Time that all processes have waited for a processor.
-    fn waited_ns(&self) -> u64 {
-        self.members.iter().map(Member::waited_ns).sum()
+    /// Time that all processes that work for a ring have waited for a processor.
+    fn waited_ns(&self, ring: usize) -> u64 {
+        self.members.iter().filter(|it| it.works_for(ring)).map(Member::waited_ns).sum()
     }
 
     /// Says once of each process that its log is longer than what is kept of it.
@@ -603,7 +632,7 @@ impl<'a> Pipeline<'a> {
         if let State::Down { due_ns } = member.state
             && now >= due_ns
         {
-            member.start(&self.attachment, &self.placement)?;
+            member.start(&self.attachment, &self.rings[member.ring].placement)?;
         }
         Ok(())
     }
@@ -622,7 +651,8 @@ impl<'a> Pipeline<'a> {
         self.observers.stand_back();
         clean_up_behind(&self.attachment, pid).map_err(Failure::Other)?;
         if member.entry.role != Role::Trainer {
-            self.batch_is_broken = self.sequencer.is_driving() && !self.realtime;
+            let ring = member.ring;
+            self.rings[ring].batch_is_broken = self.sequencer.is_driving(ring) && !self.realtime;
         }
         let wait = match decision {
             Decision::Restart(wait) => wait,
@@ -635,9 +665,13 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
+    fn look_for_readers(&self) {
+        self.rings.iter().for_each(|ring| ring.bus.look_for_readers());
+    }
+
     /// Sleeps until a message, a death or the next deadline.
     fn sleep(&mut self) {
-        self.bus.look_for_readers();
+        self.look_for_readers();
         let mut fds = vec![PollFd::new(&self.alarm, PollFlags::IN)];
         for member in &mut self.members {
             if let Some(process) = member.state.process() {
@@ -652,7 +686,7 @@ impl<'a> Pipeline<'a> {
         // A signal ends it early, which is as good as a message.
         let _ = poll(&mut fds, Some(&nap));
         self.alarm.clear();
-        self.bus.look_for_readers();
+        self.look_for_readers();
         self.reaped_ns = 0;
     }
 
@@ -692,7 +726,7 @@ impl StateFile {
     /// Time between two looks for a request to stop.
     const LOOK_EVERY_NS: u64 = 50_000_000;
 
-    fn new(names: &RunNames, plan: &Plan) -> Self {
+    fn new(names: &RunNames, plan: &Plan, rings: usize) -> Self {
         let state = RunState {
             run: format!("{:016x}", names.run),
             pid: std::process::id(),
@@ -702,6 +736,7 @@ impl StateFile {
             batch: 0,
             attempt: 0,
             tick: 0,
+            rings,
             processes: Vec::new(),
         };
         Self { path: names.root.join(RunState::FILE), state, written_ns: 0, looked_ns: 0 }
@@ -713,7 +748,7 @@ impl StateFile {
         }
         self.written_ns = now_ns;
         let state = &mut self.state;
-        (state.batch, state.attempt) = (sequencer.batch(), sequencer.attempt());
+        (state.batch, state.attempt) = (sequencer.batch(0), sequencer.attempt(0));
         state.tick = if seen.0 == state.batch { seen.1 } else { 0 };
         state.processes = members.iter().map(Member::state).collect();
         // Only people read it: a failure to write it is no reason to stop a training.

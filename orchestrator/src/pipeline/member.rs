@@ -34,7 +34,10 @@ const USERS_MISTAKE: i32 = 64;
 pub(crate) struct Member {
     pub(crate) entry: ProcessEntry,
     program: Program,
-    pub(crate) name: &'static str,
+    /// The ring that it belongs to; the first one for who serves all of them.
+    pub(crate) ring: usize,
+    /// The name of its service or role, with the number of its ring if that is not the first one.
+    pub(crate) name: String,
     pub(crate) log: PathBuf,
     pub(crate) state: State,
     pub(crate) policy: RestartPolicy,
@@ -105,17 +108,22 @@ impl State {
 }
 
 impl Member {
-    pub(crate) fn new(entry: &ProcessEntry, plan: &Plan) -> Self {
+    pub(crate) fn new(entry: &ProcessEntry, plan: &Plan, ring: usize) -> Self {
         let program = plan.services.program(entry);
         let name = match program {
             Program::Command(_) => entry.role.name(),
             Program::Service(name) => name,
         };
+        let name = match ring {
+            0 => name.to_owned(),
+            ring => format!("{name}-{}", ring + 1),
+        };
         Self {
             entry: entry.clone(),
             program,
-            name,
+            ring,
             log: plan.folder.join("logs").join(format!("{name}.log")),
+            name,
             state: State::Down { due_ns: 0 },
             policy: RestartPolicy::new(Budget {
                 restarts: entry.restart_budget.unwrap_or(plan.budget.restarts),
@@ -150,13 +158,18 @@ impl Member {
 
     /// Its place in the ring, if it belongs to it. Only the ring has cores: the trainer works while the ring
     /// rests, and the recorder runs alongside it.
-    fn place_in_ring(&self) -> Option<usize> {
+    pub(crate) fn place_in_ring(&self) -> Option<usize> {
         match self.entry.role {
             Role::Vehicle => Some(0),
             Role::Controller => Some(1),
             Role::Supervisor => Some(2),
             Role::Trainer | Role::Recorder => None,
         }
+    }
+
+    /// Whether the drives of this ring need it.
+    pub(crate) fn works_for(&self, ring: usize) -> bool {
+        self.ring == ring || self.place_in_ring().is_none()
     }
 
     pub(crate) fn start(
@@ -170,6 +183,7 @@ impl Member {
         self.warned.clear();
         let place = self.place_in_ring();
         let attachment = Attachment {
+            ring: self.ring,
             incarnation: self.incarnation,
             core: place.and_then(|place| placement.core_of(place)),
             fifo: attachment.fifo.filter(|_| place.is_some()),
@@ -179,7 +193,7 @@ impl Member {
             anyhow::Error::new(error).context(format!("failed to start the {}", self.name))
         })?;
         self.pid = process.id();
-        tracing::info!(process = self.name, pid = self.pid, "started");
+        tracing::info!(process = self.name.as_str(), pid = self.pid, "started");
         self.suspected = None;
         let vitals = self.vitals().unwrap_or_default();
         self.started_ns = now_ns();
@@ -330,7 +344,7 @@ impl Member {
     pub(crate) fn facts(&self) -> ProcessFacts {
         let RefusedSamples { dropped, rejected, late } = self.all_refused();
         ProcessFacts {
-            name: self.name.to_owned(),
+            name: self.name.clone(),
             pid: self.pid,
             restarts: self.incarnation.saturating_sub(1) as u32,
             dropped,

@@ -16,6 +16,7 @@ pub mod process;
 pub(crate) mod progress;
 pub(crate) mod recovery;
 pub mod restart;
+mod ring;
 pub mod sequencer;
 pub(crate) mod services;
 mod standing;

@@ -27,6 +27,8 @@ pub(crate) struct Plan {
     pub(crate) quiet: bool,
     /// How the ring waits, if the user has chosen.
     pub(crate) wait: Option<Wait>,
+    /// How many rings share the drives, if that is decided.
+    pub(crate) rings: Option<usize>,
     /// Priority of first-in-first-out scheduling for the ring, if requested.
     pub(crate) fifo: Option<u8>,
     pub(crate) interrupted: Interrupts,
@@ -51,4 +53,6 @@ pub(crate) struct PipelineFacts {
     pub(crate) recording: Option<RecordingFacts>,
     /// How the processes waited for each other.
     pub(crate) waiting: &'static str,
+    /// How many rings shared the drives.
+    pub(crate) rings: usize,
 }

@@ -184,6 +184,7 @@ fn of_run(config: &RunConfig, facts: &RunFacts) -> Run {
         tick_ns,
         recording,
         waiting,
+        rings,
         stopped_by: _,
         out_of_patience: _,
     } = pipeline;
@@ -208,6 +209,7 @@ fn of_run(config: &RunConfig, facts: &RunFacts) -> Run {
         recovery: *recovery,
         tick_ns: *tick_ns,
         waiting: (*waiting).to_owned(),
+        rings: *rings,
     }
 }
 

@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use config::launch::{Launch, Role};
-use config::{Layers, RecordedPath, RunConfig, StartAt, SweepKind, SweepPlan, read_small};
+use config::launch::{Launch, ProcessEntry, Role};
+use config::{
+    LawConfig, Layers, RecordedPath, RunConfig, StartAt, SweepKind, SweepPlan, read_small,
+};
 use runtime::Wait;
 use runtime::chaos::Script;
 
@@ -202,6 +204,18 @@ pub(crate) fn check_preset(
     Err(Failure::User(format!("{option} {name}: {what}; {hint}")))
 }
 
+/// Checks that a law can be tuned.
+pub(crate) fn check_law(law: &LawConfig) -> Result<(), Failure> {
+    if law.follows_path {
+        return Ok(());
+    }
+    let why = format!(
+        "the law {} does not follow a path, so no set of it is better than another",
+        law.name
+    );
+    Err(Failure::User(why))
+}
+
 /// The processes of a pipeline; `trainer` fills the trainer's role unless another program was named for it.
 pub(crate) fn launch(
     args: &SetupArgs,
@@ -264,6 +278,12 @@ pub(crate) fn prepare(
     if let Some(priority) = args.fifo {
         preflight::ask_for_fifo(priority, config.run.realtime)?;
     }
+    let by_the_clock = config.run.realtime || sweep.as_ref().is_some_and(|plan| plan.realtime);
+    let may_have_rings = !by_the_clock && can_be_many(&launch);
+    if args.rings.is_some_and(|rings| rings > 1) && !may_have_rings {
+        let why = "--rings: only our own services, in lockstep and without --record, can be started more than once";
+        return Err(Failure::User(why.to_owned()));
+    }
     // Up to here a signal may simply end this process; from here on the run ends in order.
     let interrupted = Interrupts::new()?;
     preflight::check_commands(&launch)?;
@@ -291,10 +311,22 @@ pub(crate) fn prepare(
         chaos: args.chaos.clone().map(|script| (script, args.chaos_seed)),
         quiet: args.quiet || args.json,
         wait,
+        rings: if may_have_rings { args.rings.map(usize::from) } else { Some(1) },
         fifo: args.fifo,
         interrupted,
     };
     Ok(Ready { plan, _lock: lock })
+}
+
+/// Whether a pipeline of these processes may have several rings: our own services can be started more than once, and no recorder
+/// listens to them.
+fn can_be_many(launch: &Launch) -> bool {
+    // The gain schedule is as good a trainer as ours.
+    let is_usual = |entry: &ProcessEntry| match entry.role {
+        Role::Trainer => entry.command.is_none(),
+        _ => entry.is_usual(),
+    };
+    launch.process.iter().all(is_usual) && !launch.is_recorded()
 }
 
 pub(crate) fn read(file: &Path, option: &str) -> Result<String, Failure> {

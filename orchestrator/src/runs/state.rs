@@ -29,6 +29,9 @@ pub(crate) struct RunState {
     pub(crate) batch: u64,
     pub(crate) attempt: u32,
     pub(crate) tick: u64,
+    /// How many rings share its drives; batch, attempt and tick are the first one's.
+    #[serde(default)]
+    pub(crate) rings: usize,
     pub(crate) processes: Vec<ProcessState>,
 }
 

@@ -236,7 +236,7 @@ fn print_table_of_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Fail
 
 fn print_drive(it: &SingleDrive, config: &RunConfig) -> Result<(), Failure> {
     // An excitation follows no path: its distances from the one of its configuration mean nothing.
-    let follows_path = config.law.name != "excitation";
+    let follows_path = config.law.follows_path;
     if follows_path {
         print_table_of_drive(it, config)?;
     }

@@ -99,6 +99,15 @@ pub fn run(options: &Options) -> Result<(), MonitorError> {
     let budget_ns = budget_ns(options)?;
     let mut run = ObservedRun::attach(&options.names, options.vehicle, budget_ns)?;
     let mut publish = Publish::new(options)?;
+    let rings = run.rings();
+    if rings > 1 {
+        let _ = io::Write::write_fmt(
+            &mut io::stderr(),
+            format_args!(
+                "pathtune: {rings} rings share the drives of this run; shown is the first one\n"
+            ),
+        );
+    }
     let asked_for_lines = options.json || options.csv.is_some() || options.once;
     let ended = if asked_for_lines || !io::stdout().is_terminal() {
         lines::run(options, &mut run, &stop, &mut publish)?

@@ -44,6 +44,8 @@ pub(crate) struct ObservedRun {
 
 #[derive(Debug, Deserialize)]
 struct RunState {
+    #[serde(default)]
+    rings: usize,
     processes: Vec<ProcessState>,
 }
 
@@ -230,9 +232,18 @@ impl ObservedRun {
         }
     }
 
-    fn read_restarts(&self) -> Option<BTreeMap<String, u32>> {
+    fn read_state(&self) -> Option<RunState> {
         let state = fs::read(self.names.root.join("run.json")).ok()?;
-        let state: RunState = serde_json::from_slice(&state).ok()?;
+        serde_json::from_slice(&state).ok()
+    }
+
+    /// How many rings share the run's drives; what is observed is the first.
+    pub(crate) fn rings(&self) -> usize {
+        self.read_state().map_or(1, |state| state.rings.max(1))
+    }
+
+    fn read_restarts(&self) -> Option<BTreeMap<String, u32>> {
+        let state = self.read_state()?;
         Some(state.processes.into_iter().map(|process| (process.name, process.restarts)).collect())
     }
 

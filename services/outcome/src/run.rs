@@ -38,6 +38,14 @@ pub struct Run {
     pub tick_ns: f64,
     /// How the processes waited for each other: `yield`, `spin` or `block`.
     pub waiting: String,
+    /// How many rings shared the drives.
+    #[serde(default = "one")]
+    pub rings: usize,
+}
+
+/// Results of earlier versions were driven in one ring.
+fn one() -> usize {
+    1
 }
 
 /// The drives of a run, whatever was killed or resumed on the way.

@@ -19,6 +19,8 @@ pub struct Attachment {
     pub folder: PathBuf,
     /// The largest number of elements in a message of this run.
     pub max_len: usize,
+    /// Which ring of the run it belongs to, counted from 0; the first one is also that of trainer and recorder.
+    pub ring: usize,
     /// Which start of this role it is, counted from 1.
     pub incarnation: u64,
     /// The core on which this process must run, if a certain one is chosen.
@@ -38,6 +40,7 @@ const ROOT: &str = "PATHTUNE_ROOT";
 const PREFIX: &str = "PATHTUNE_PREFIX";
 const FOLDER: &str = "PATHTUNE_FOLDER";
 const MAX_LEN: &str = "PATHTUNE_MAX_LEN";
+const RING: &str = "PATHTUNE_RING";
 const INCARNATION: &str = "PATHTUNE_INCARNATION";
 const CORE: &str = "PATHTUNE_CORE";
 const WAIT: &str = "PATHTUNE_WAIT";
@@ -73,6 +76,7 @@ impl Attachment {
             names,
             folder: PathBuf::from(text(FOLDER)?),
             max_len: text(MAX_LEN)?.parse().with_context(|| format!("malformed {MAX_LEN}"))?,
+            ring: parsed(RING)?.unwrap_or_default(),
             incarnation: text(INCARNATION)?
                 .parse()
                 .with_context(|| format!("malformed {INCARNATION}"))?,
@@ -117,6 +121,9 @@ impl Attachment {
         if let Some((script, seed)) = &self.chaos {
             env.push((chaos::SCRIPT, script.clone()));
             env.push((chaos::SEED, seed.to_string()));
+        }
+        if self.ring > 0 {
+            env.push((RING, self.ring.to_string()));
         }
         if let Some(core) = self.core {
             env.push((CORE, core.to_string()));

@@ -48,6 +48,8 @@ fn refused<E: std::fmt::Debug>(action: impl FnOnce() -> String) -> impl FnOnce(E
 pub struct Bus {
     node: Node<ipc::Service>,
     max_len: usize,
+    /// Which ring's topics it uses.
+    ring: usize,
     wait: Wait,
     /// Held only by the creator, so that topics outlive their users.
     held: Vec<Box<dyn Any>>,
@@ -71,8 +73,22 @@ impl Bus {
     /// # Errors
     /// If the transport refuses, for example because `/dev/shm` is full.
     pub fn create(names: &RunNames, max_len: usize) -> Result<Self, BusError> {
-        let mut bus = Self::attach(names, max_len)?;
+        let bus = Self::attach(names, max_len)?;
         tighten_global_management(names);
+        bus.with_topics()
+    }
+
+    /// Creates the topics of a further ring of the run, counted from 0, and holds them; the events of orchestrator, trainer and
+    /// recorder are those of the run's first bus.
+    ///
+    /// # Errors
+    /// As [`Bus::create`].
+    pub fn create_ring(names: &RunNames, max_len: usize, ring: usize) -> Result<Self, BusError> {
+        Self::attach(names, max_len)?.in_ring(ring).with_topics()
+    }
+
+    fn with_topics(self) -> Result<Self, BusError> {
+        let mut bus = self;
         let mut held: Vec<Box<dyn Any>> = Vec::new();
         macro_rules! create {
             ($message:ty) => {
@@ -80,10 +96,10 @@ impl Bus {
             };
         }
         for_each_topic!(create);
-        for role in WakeRole::ALL {
+        for role in WakeRole::ALL.into_iter().filter(|role| bus.ring == 0 || role.is_of_ring()) {
             let event = bus
                 .node
-                .service_builder(&service_name(role.event_name()))
+                .service_builder(&bus.event_name(role))
                 .event()
                 .max_listeners(16)
                 .max_notifiers(MAX_NODES)
@@ -110,6 +126,7 @@ impl Bus {
         Ok(Self {
             node,
             max_len,
+            ring: 0,
             wait: Wait::default(),
             held: Vec::new(),
             outlets: RefCell::default(),
@@ -121,6 +138,20 @@ impl Bus {
         Self { wait, ..self }
     }
 
+    /// The same bus with the topics of another ring.
+    pub(crate) fn in_ring(self, ring: usize) -> Self {
+        Self { ring, ..self }
+    }
+
+    fn topic_name<M: Message>(&self) -> ServiceName {
+        service_name(M::TOPIC.name, self.ring)
+    }
+
+    /// Who serves all rings is woken by one event.
+    fn event_name(&self, role: WakeRole) -> ServiceName {
+        service_name(role.event_name(), if role.is_of_ring() { self.ring } else { 0 })
+    }
+
     fn topic<M: Message>(
         &self,
         create: bool,
@@ -128,7 +159,7 @@ impl Bus {
         let topic = M::TOPIC;
         let builder = self
             .node
-            .service_builder(&service_name(topic.name))
+            .service_builder(&self.topic_name::<M>())
             .publish_subscribe::<[M]>()
             .user_header::<M::Header>();
         if create {
@@ -199,7 +230,7 @@ impl Bus {
     /// If the transport refuses, as it should for every other type.
     pub fn open_as<M: Message, T: Message>(&self) -> Result<(), BusError> {
         self.node
-            .service_builder(&service_name(M::TOPIC.name))
+            .service_builder(&self.topic_name::<M>())
             .publish_subscribe::<[T]>()
             .user_header::<M::Header>()
             .open()
@@ -219,7 +250,7 @@ impl Bus {
 
     fn notifier(&self, role: WakeRole) -> Result<Notifier<ipc::Service>, BusError> {
         self.node
-            .service_builder(&service_name(role.event_name()))
+            .service_builder(&self.event_name(role))
             .event()
             .open()
             .map_err(refused(|| format!("open the event {}", role.event_name())))?
@@ -235,7 +266,7 @@ impl Bus {
     pub fn alarm(&self, role: WakeRole) -> Result<Alarm, BusError> {
         let listener = self
             .node
-            .service_builder(&service_name(role.event_name()))
+            .service_builder(&self.event_name(role))
             .event()
             .open()
             .map_err(refused(|| format!("open the event {}", role.event_name())))?
@@ -453,8 +484,13 @@ impl<M: Message> Received<M> {
     }
 }
 
-fn service_name(name: &str) -> ServiceName {
-    ServiceName::new(name).expect("topic names are short and not empty")
+/// The name of a topic or event; the first ring's are those of `CONTRACT.md`.
+fn service_name(name: &str, ring: usize) -> ServiceName {
+    let name = match ring {
+        0 => name.to_owned(),
+        ring => format!("ring_{}/{name}", ring + 1),
+    };
+    ServiceName::new(&name).expect("topic names are short and not empty")
 }
 
 /// The configuration of a run as text, for programs that know iceoryx2 and nothing of us, such as its own command line.

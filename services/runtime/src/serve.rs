@@ -27,7 +27,9 @@ pub fn join() -> Result<(Attachment, Bus, RunConfig)> {
     let text =
         std::fs::read_to_string(&path).with_context(|| format!("failed to read {path:?}"))?;
     let config = RunConfig::from_resolved(&text)?;
-    let bus = Bus::attach(&attachment.names, attachment.max_len)?.waiting(attachment.wait);
+    let bus = Bus::attach(&attachment.names, attachment.max_len)?
+        .in_ring(attachment.ring)
+        .waiting(attachment.wait);
     Ok((attachment, bus, config))
 }
 

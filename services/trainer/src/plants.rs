@@ -132,7 +132,11 @@ pub(crate) fn check(
             }
         })
         .collect();
-    let by_plants = plausible.why_fragile(&plain, &chosen);
+    let missed = config.is_to_arrive() && !plain.arrived();
+    let by_plants = match missed {
+        true => Some("it does not even arrive with the vehicle as its file has it".to_owned()),
+        false => plausible.why_fragile(&plain, &chosen),
+    };
     let reasons: Vec<String> = by_plants.into_iter().chain(margin.why_fragile()).collect();
     let worst = |of: &[f64]| of.iter().copied().fold(0.0, f64::max);
     let calmest = others

@@ -1,0 +1,92 @@
+//! Several rings share the drives of a run: the same bytes come out, whichever ring drives what and whoever is killed.
+
+mod support;
+
+use serde_json::Value;
+use support::Sandbox;
+
+/// Four sets of a grid on nine plants each, a few at a time.
+const GRID: [&str; 13] = [
+    "grid",
+    "roundabout",
+    "--over",
+    "default",
+    "--fleet",
+    "12",
+    "--set",
+    "grid.kv={min=3.0,max=3.0,step=1.0}",
+    "--set",
+    "grid.kl.step=20.0",
+    "--set",
+    "grid.ks={min=11.0,max=11.0,step=1.0}",
+    "--set=grid.ki.step=0.28",
+];
+
+fn names(result: &Value) -> Vec<&str> {
+    let processes = result["run"]["processes"].as_array().unwrap();
+    processes.iter().map(|it| it["name"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn rings_share_the_drives_and_change_no_byte() {
+    let sandbox = Sandbox::new();
+    let unranked = "ranking.max_ticks=0";
+    let training = ["roundabout", "--over", "default", "--episodes", "1", "--set", unranked];
+    let one = sandbox.train("one", &[&training[..], &["--rings", "1"]].concat());
+    assert_eq!(names(&one), ["simulator", "supervisor", "controller", "trainer"]);
+    let ring = |number: u32| {
+        ["simulator", "supervisor", "controller"].map(|name| format!("{name}-{number}"))
+    };
+    let faults =
+        "kill controller@drive=2,tick=30; kill simulator@drive=3; stop supervisor@drive=4 for 2s";
+    let cases: [(&str, &[&str]); 2] =
+        [("2", &["--chaos", faults]), ("3", &["--chaos", "random:5", "--restart-budget", "100"])];
+    for (rings, more) in cases {
+        let args = [&training[..], &["--rings", rings], more].concat();
+        let several = sandbox.train(rings, &args);
+        assert_eq!(several["run"]["rings"], rings.parse::<u32>().unwrap());
+        assert!(several["run"]["recovery"]["injected"].as_u64().unwrap() > 0);
+        let mut wanted = names(&one).into_iter().map(str::to_owned).collect::<Vec<_>>();
+        wanted.extend((2..=rings.parse().unwrap()).flat_map(ring));
+        assert_eq!(names(&several), wanted);
+        assert_eq!(several["digest"], one["digest"]);
+        let outcome = |out: &str| sandbox.text(&format!("{out}/outcome.json"));
+        assert!(outcome(rings) == outcome("one"), "{rings} rings come to another outcome");
+        assert!(sandbox.path(rings).join("logs/controller-2.log").exists());
+    }
+    sandbox.assert_clean();
+}
+
+#[test]
+fn what_the_trainer_follows_is_driven_where_it_listens() {
+    let sandbox = Sandbox::new();
+    // Gains for each zone, and recorded drives.
+    let one = sandbox.json("one", &["validate", "circuit", "--rings", "1"]);
+    let two = sandbox.json("two", &["validate", "circuit", "--rings", "2"]);
+    assert_eq!(two["run"]["rings"], 2);
+    for key in ["rows", "digest"] {
+        assert!(!one[key].is_null() && one[key] == two[key], "{key}");
+    }
+    let one = sandbox.json("grid", &[&GRID[..], &["--rings", "1"]].concat());
+    let two = sandbox.json("grids", &[&GRID[..], &["--rings", "2"]].concat());
+    assert_eq!(one["digest"], two["digest"]);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn what_can_be_started_only_once_is_refused() {
+    let sandbox = Sandbox::new();
+    let cases: [&[&str]; 3] = [
+        &["train", "lane_change", "--replace", "vehicle=true"],
+        &["train", "lane_change", "--record"],
+        &["drive", "lane_change", "--realtime"],
+    ];
+    for args in cases {
+        let output = sandbox.run(&[args, &["--rings", "2", "--out", "out"]].concat());
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(64), "{args:?}: {told}");
+        assert!(told.contains("--rings") && told.lines().count() == 1, "{args:?}: {told}");
+        assert!(!sandbox.path("out").exists());
+    }
+    sandbox.assert_clean();
+}
