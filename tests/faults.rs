@@ -37,7 +37,9 @@ fn a_thousand_mixed_faults_change_no_byte() {
     let mut trainings = 0;
     while faults.told.all() < wanted {
         let out = format!("faulty{trainings}");
-        faults.strike(&sandbox, &out, wanted);
+        // One ring or two.
+        let rings = ["1", "2"][(seed + trainings) as usize % 2];
+        faults.strike(&sandbox, &out, rings, wanted);
         let result = sandbox.result(&out);
         let told = format!("seed {seed}, training {trainings}: {:?}", faults.told);
         assert_eq!(result["digest"], calm["digest"], "{told}");
@@ -79,9 +81,9 @@ impl Faults {
     }
 
     /// A training to its end, with faults as long as some are wanted.
-    fn strike(&mut self, sandbox: &Sandbox, out: &str, wanted: u64) {
-        let mut training =
-            sandbox.start_training(out, &[&TRAINING[..], &FAULTY, &["--quiet"]].concat());
+    fn strike(&mut self, sandbox: &Sandbox, out: &str, rings: &str, wanted: u64) {
+        let more = ["--quiet", "--rings", rings];
+        let mut training = sandbox.start_training(out, &[&TRAINING[..], &FAULTY, &more].concat());
         let mut struck_at = 0;
         while self.told.all() < wanted && !training.is_over() {
             // Three of four wait until the training has got on since the last one: a training that is struck faster than

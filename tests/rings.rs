@@ -39,13 +39,11 @@ fn rings_share_the_drives_and_change_no_byte() {
     };
     let faults =
         "kill controller@drive=2,tick=30; kill simulator@drive=3; stop supervisor@drive=4 for 2s";
-    let cases: [(&str, &[&str]); 2] =
-        [("2", &["--chaos", faults]), ("3", &["--chaos", "random:5", "--restart-budget", "100"])];
-    for (rings, more) in cases {
-        let args = [&training[..], &["--rings", rings], more].concat();
+    for rings in ["2", "3"] {
+        let args = [&training[..], &["--rings", rings, "--chaos", faults]].concat();
         let several = sandbox.train(rings, &args);
         assert_eq!(several["run"]["rings"], rings.parse::<u32>().unwrap());
-        assert!(several["run"]["recovery"]["injected"].as_u64().unwrap() > 0);
+        assert_eq!(several["run"]["recovery"]["injected"], 3);
         let mut wanted = names(&one).into_iter().map(str::to_owned).collect::<Vec<_>>();
         wanted.extend((2..=rings.parse().unwrap()).flat_map(ring));
         assert_eq!(names(&several), wanted);
