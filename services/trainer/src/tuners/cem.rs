@@ -6,7 +6,7 @@
 
 use config::RunConfig;
 
-use crate::search::{Method, Point, Search, Space};
+use crate::search::{Method, Point, SETTLED, Search, Space};
 
 /// Width of a new distribution, as a share of the axes.
 const WIDTH: f64 = 0.4;
@@ -35,6 +35,8 @@ pub(crate) struct Cem {
     mean: Vec<f64>,
     widths: Vec<f64>,
     barren: u32,
+    /// The least value when a distribution was replaced, which nothing was clearly better than since; else infinite.
+    settled_at: f64,
     /// The points drawn last, before they were moved onto the grid.
     drawn: Vec<Point>,
 }
@@ -55,6 +57,7 @@ impl Cem {
             mean: vec![0.5; dimensions],
             widths: vec![WIDTH; dimensions],
             barren: 0,
+            settled_at: f64::INFINITY,
             drawn: Vec::new(),
         }
     }
@@ -63,6 +66,7 @@ impl Cem {
 impl Method for Cem {
     fn propose(&mut self, space: &mut Space, _room: usize) -> Vec<Point> {
         if self.barren >= BARREN || self.widths.iter().all(|it| *it < self.narrow) {
+            self.settled_at = self.settled_at.min(space.least());
             self.mean = space.draw();
             self.widths.fill(WIDTH);
             self.barren = 0;
@@ -80,6 +84,9 @@ impl Method for Cem {
 
     fn learn(&mut self, values: &[f64]) {
         let drawn = std::mem::take(&mut self.drawn);
+        if values.iter().any(|value| *value < (1.0 - SETTLED) * self.settled_at) {
+            self.settled_at = f64::INFINITY;
+        }
         if values.len() < drawn.len() || drawn.is_empty() {
             return;
         }
@@ -96,22 +103,27 @@ impl Method for Cem {
         }
     }
 
+    fn is_settled(&self) -> bool {
+        self.settled_at.is_finite()
+    }
+
     fn state(&self) -> Vec<f64> {
-        let mut state = vec![f64::from(self.barren)];
+        let mut state = vec![f64::from(self.barren), self.settled_at];
         state.extend(self.mean.iter().chain(&self.widths).chain(self.drawn.iter().flatten()));
         state
     }
 
     fn restore(&mut self, state: &[f64]) -> bool {
         let count = self.mean.len();
-        let Some((head, rest)) = state.split_at_checked(1) else { return false };
+        let Some((head, rest)) = state.split_at_checked(2) else { return false };
         let Some((parts, drawn)) = rest.split_at_checked(2 * count) else { return false };
-        if state.iter().any(|it| !it.is_finite())
+        if head[1].is_nan()
+            || rest.iter().chain(&head[..1]).any(|it| !it.is_finite())
             || (!drawn.is_empty() && drawn.len() != self.population * count)
         {
             return false;
         }
-        self.barren = head[0] as u32;
+        (self.barren, self.settled_at) = (head[0] as u32, head[1]);
         self.mean = parts[..count].to_vec();
         self.widths = parts[count..].to_vec();
         self.drawn = drawn.chunks(count).map(<[f64]>::to_vec).collect();

@@ -7,7 +7,7 @@
 
 use config::RunConfig;
 
-use crate::search::{Cholesky, Method, Point, Search, Space};
+use crate::search::{Cholesky, Method, Point, SETTLED, Search, Space};
 
 /// Width of a new distribution, as a share of the axes.
 const WIDTH: f64 = 0.3;
@@ -41,6 +41,8 @@ pub(crate) struct Cmaes {
     /// Generations that this distribution has learnt from, and those in a row that held nothing new.
     learnt: u32,
     barren: u32,
+    /// The least value when a distribution was replaced, which nothing was clearly better than since; else infinite.
+    settled_at: f64,
     /// The points drawn last, before they were moved onto the grid.
     drawn: Vec<Point>,
 }
@@ -69,6 +71,7 @@ impl Cmaes {
             shape_path: Vec::new(),
             learnt: 0,
             barren: 0,
+            settled_at: f64::INFINITY,
             drawn: Vec::new(),
         };
         it.start(vec![0.5; dimensions]);
@@ -102,6 +105,7 @@ impl Method for Cmaes {
     fn propose(&mut self, space: &mut Space, _room: usize) -> Vec<Point> {
         let mut factor = self.factor();
         if self.barren >= BARREN || self.is_narrow() || factor.is_none() {
+            self.settled_at = self.settled_at.min(space.least());
             let mean = space.draw();
             self.start(mean);
             factor = self.factor();
@@ -122,6 +126,9 @@ impl Method for Cmaes {
 
     fn learn(&mut self, values: &[f64]) {
         let drawn = std::mem::take(&mut self.drawn);
+        if values.iter().any(|value| *value < (1.0 - SETTLED) * self.settled_at) {
+            self.settled_at = f64::INFINITY;
+        }
         if values.len() < drawn.len() || drawn.is_empty() {
             return;
         }
@@ -188,8 +195,13 @@ impl Method for Cmaes {
         self.width = (self.width * libm::exp(faster)).min(WIDEST);
     }
 
+    fn is_settled(&self) -> bool {
+        self.settled_at.is_finite()
+    }
+
     fn state(&self) -> Vec<f64> {
-        let mut state = vec![self.width, f64::from(self.learnt), f64::from(self.barren)];
+        let counts = [self.learnt, self.barren].map(f64::from);
+        let mut state = vec![self.width, counts[0], counts[1], self.settled_at];
         for part in [&self.mean, &self.width_path, &self.shape_path, &self.covariance] {
             state.extend(part);
         }
@@ -199,15 +211,17 @@ impl Method for Cmaes {
 
     fn restore(&mut self, state: &[f64]) -> bool {
         let count = self.mean.len();
-        let Some((head, rest)) = state.split_at_checked(3) else { return false };
+        let Some((head, rest)) = state.split_at_checked(4) else { return false };
         let Some((parts, drawn)) = rest.split_at_checked((3 + count) * count) else { return false };
-        if state.iter().any(|it| !it.is_finite())
+        if head[3].is_nan()
+            || rest.iter().chain(&head[..3]).any(|it| !it.is_finite())
             || (!drawn.is_empty() && drawn.len() != self.population * count)
             || !(0.0..=WIDEST).contains(&head[0])
         {
             return false;
         }
         (self.width, self.learnt, self.barren) = (head[0], head[1] as u32, head[2] as u32);
+        self.settled_at = head[3];
         let mut parts = parts.chunks(count);
         let mut next = || parts.next().expect("as many as were counted").to_vec();
         (self.mean, self.width_path, self.shape_path) = (next(), next(), next());

@@ -456,6 +456,10 @@ mod tests {
             ("gp", 10, false),
             ("coordinate", 60, true),
             ("coordinate", 6, false),
+            ("cem", 400, true),
+            ("cem", 20, false),
+            ("cmaes", 400, true),
+            ("cmaes", 20, false),
         ] {
             let sets =
                 [format!("learning.tuner={name}"), format!("tuner.settings.drives={drives}")];
@@ -472,7 +476,7 @@ mod tests {
             let least = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
             let (until, all) = (least(&values[..stop as usize]), least(&values));
             assert!(
-                stop < 50 && until <= all / 0.99,
+                stop < drives && until <= all / 0.99,
                 "{name}: {until} after {stop}, {all} in the end"
             );
         }
