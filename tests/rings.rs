@@ -2,6 +2,11 @@
 
 mod support;
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use config::Layers;
+use rollout::Rollout;
 use serde_json::Value;
 use support::Sandbox;
 
@@ -87,4 +92,53 @@ fn what_can_be_started_only_once_is_refused() {
         assert!(!sandbox.path("out").exists());
     }
     sandbox.assert_clean();
+}
+
+/// How long the pipeline takes for a robust training, beside plain calls of the same cores on as many threads as there are
+/// processors: 48 plants × 625 sets in the roundabout, 90 million ticks, with dead time and lag.
+#[test]
+#[ignore = "by hand: a minute in which nothing else may run"]
+fn a_grid_over_48_plants_beside_plain_calls() {
+    let sandbox = Sandbox::new();
+    let plants: Vec<String> = (0..48)
+        .map(|number| {
+            let (delay_s, lag_s) =
+                (0.03 + 0.001 * f64::from(number), 0.02 + 0.0015 * f64::from(number));
+            format!("{{name='{number}',add={{steering_delay_s={delay_s},steering_lag_s={lag_s}}}}}")
+        })
+        .collect();
+    let plants = plants.join(",");
+    std::fs::write(sandbox.path("plants.toml"), format!("plants=[{plants}]")).unwrap();
+    let args = ["grid", "roundabout", "--over", "plants.toml"];
+    let begun = Instant::now();
+    let result = sandbox.json("grid", &args);
+    let pipeline_s = begun.elapsed().as_secs_f64();
+    let mut layers = Layers::maneuver("roundabout").unwrap();
+    layers.set(&format!("over.plants=[{plants}]")).unwrap();
+    layers.set("over.by=mean").unwrap();
+    let config = layers.resolve().unwrap();
+    let (grid, changes) = (config.grid(), config.plant_changes());
+    let next = AtomicUsize::new(0);
+    let begun = Instant::now();
+    let ticks: u64 = std::thread::scope(|scope| {
+        let drive = || {
+            let mut ticks = 0;
+            while let Some(change) = changes.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let (driver, plant) = (config.driving_plant(change), config.with_plant(change));
+                let mut rollout = Rollout::on_plant(&driver, &plant);
+                let sets = grid.positions().map(|position| grid.set(position));
+                ticks += sets.map(|set| rollout.drive(set, None).ticks).sum::<u64>();
+            }
+            ticks
+        };
+        let threads = std::thread::available_parallelism().unwrap().get();
+        let threads: Vec<_> = (0..threads).map(|_| scope.spawn(drive)).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).sum()
+    });
+    let calls_s = begun.elapsed().as_secs_f64();
+    let rings = &result["run"]["rings"];
+    println!(
+        "{ticks} ticks: {pipeline_s:.1} s with {rings} rings, {calls_s:.1} s by plain calls: {:.2} ×",
+        pipeline_s / calls_s
+    );
 }

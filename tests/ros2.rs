@@ -35,6 +35,7 @@ mod with {
     mod fault_table;
     mod faults;
     mod networks;
+    mod own_car;
     mod ring;
     mod told;
 }

@@ -7,6 +7,7 @@ down, a line of JSON a step.
 import argparse
 import json
 import math
+import random
 import time
 
 from cyclonedds.domain import DomainParticipant
@@ -15,6 +16,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 import faults
+import late
 import ros_messages as ros
 
 STEP_S = 0.01
@@ -38,6 +40,10 @@ def arguments():
     parser.add_argument("--ear", action="store_true", help="takes commands, but tells no odometry")
     parser.add_argument("--driver", action="store_true", help="is no car, but could drive one: publishes nothing yet")
     parser.add_argument("--small", action="store_true", help="is a car at the scale of 1:10")
+    parser.add_argument("--position-sd-m", type=float, default=0.0, help="noise of its odometry")
+    parser.add_argument("--heading-half-width-rad", type=float, default=0.0, help="noise of its odometry")
+    parser.add_argument("--parameters", type=int, choices=[1, 2, 3], default=2, help="CommonRoad's set: Ford, BMW, VW")
+    late.add_arguments(parser)
     faults.add_arguments(parser)
     return parser.parse_args()
 
@@ -92,6 +98,8 @@ def odometry(car, fault, args):
     message.header = ros.Header(ros.Time(now // 10**9, now % 10**9), args.frame)
     pose, twist = message.pose.pose, message.twist.twist
     x, y = x + args.point * math.cos(yaw), y + args.point * math.sin(yaw)
+    x, y = random.gauss(x, args.position_sd_m), random.gauss(y, args.position_sd_m)
+    yaw += random.uniform(-args.heading_half_width_rad, args.heading_half_width_rad)
     pose.position.x, pose.position.y = fault.tells(x, y, yaw)
     pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
     twist.linear.x, twist.linear.y, twist.angular.z = forward, left, yaw_rate
@@ -120,7 +128,9 @@ def main():
         from small_car import Car
     else:
         from commonroad import Car
-    car = Car(*(float(part) for part in args.start.split(",")))
+    which = {} if args.small else {"parameters": args.parameters}
+    car = Car(*(float(part) for part in args.start.split(",")), **which)
+    steering = late.Steering(args, STEP_S)
     fault = faults.Fault(args)
     start = car.pose()
     told, heard = ros.AckermannDrive(), 0
@@ -133,7 +143,8 @@ def main():
             heard += len(fresh)
             if fresh:
                 told = fresh[-1] if args.bare else fresh[-1].drive
-            car.step(STEP_S, *fault.does(STEP_S, told.speed, args.sign * told.steering_angle))
+            speed, angle = fault.does(STEP_S, told.speed, args.sign * told.steering_angle)
+            car.step(STEP_S, speed, steering.acts(angle))
             x, y, yaw = car.pose()
             if collisions and math.hypot(x - start[0], y - start[1]) > args.collides_after:
                 collisions.write(ros.CarlaCollisionEvent(other_actor_id=1))

@@ -10,13 +10,13 @@ import argparse
 import os
 import random
 import sys
-from collections import deque
-from math import cos, exp, sin
+from math import cos, sin
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path.insert(0, os.path.join(HERE, "..", "..", "examples", "python_vehicle"))
 
 import faults
+import late
 import vehicle
 from pathtune_messages import DriveRequest
 
@@ -26,8 +26,7 @@ def arguments():
     parser.add_argument("--realtime", action="store_true", help="by the clock; the run may say so, too")
     parser.add_argument("--small", action="store_true", help="is a car at the scale of 1:10")
     parser.add_argument("--log", default=os.devnull, help="writes down what it does, a line of JSON a step")
-    parser.add_argument("--steering-delay-s", type=float, default=0.0)
-    parser.add_argument("--steering-lag-s", type=float, default=0.0)
+    late.add_arguments(parser)
     parser.add_argument("--parameters", type=int, choices=[1, 2, 3], default=2, help="CommonRoad's set: Ford, BMW, VW")
     faults.add_arguments(parser)
     return parser.parse_args()
@@ -52,20 +51,13 @@ class MultiBody(vehicle.Car):
         which = {} if ARGS.small else {"parameters": ARGS.parameters}
         self.model, self.fault = Model(x, y, start.yaw_rad, **which), faults.Fault(ARGS)
         self.log = open(ARGS.log, "w", buffering=1)
-        self.on_the_way = deque([0.0] * round(ARGS.steering_delay_s / self.tick_s))
-        self.lagged_rad = 0.0
+        self.late = late.Steering(ARGS, self.tick_s)
         self.roll(0.0, 0.0)
 
     def step(self, speed_mps, steering_rad):
         limit = self.kind.steering_limit_rad
         speed_mps, steering_rad = self.fault.does(self.tick_s, max(speed_mps, 0.0), steering_rad)
-        self.on_the_way.append(vehicle.clamp(steering_rad, -limit, limit))
-        arrived_rad = self.on_the_way.popleft()
-        share = 1.0
-        if ARGS.steering_lag_s:
-            share -= exp(-self.tick_s / ARGS.steering_lag_s)
-        self.lagged_rad += share * (arrived_rad - self.lagged_rad)
-        self.roll(speed_mps, self.lagged_rad)
+        self.roll(speed_mps, self.late.acts(vehicle.clamp(steering_rad, -limit, limit)))
 
     def stop(self):
         # Its driver brakes as hard as the speed's error asks for: a speed just below its own would hardly slow it down.

@@ -113,24 +113,36 @@ struct Story {
     said: String,
 }
 
+/// How far the tracked point of a car was from its path in each step that it wrote down, until it passed the path's end.
+pub(super) fn distances(log: &[Value], config: &RunConfig) -> Vec<f64> {
+    let path = Path::new(&config.path);
+    let mut follower = PathFollower::new(&path, 0.0);
+    let points = points_from_start(log, config);
+    let each = points.map(|(x_m, y_m)| {
+        (follower.along_m(&path, x_m, y_m), follower.distance_m(&path, x_m, y_m))
+    });
+    each.take_while(|(along_m, _)| *along_m < path.length_m()).map(|(_, off_m)| off_m).collect()
+}
+
+/// Where the tracked point of a car was in each step that it wrote down: the path begins where the car stood.
+fn points_from_start(log: &[Value], config: &RunConfig) -> impl Iterator<Item = (f64, f64)> {
+    let ahead_m = config.vehicle.tracked_point_m;
+    let point = move |line: &Value| {
+        let [x_m, y_m, yaw_rad] = ["x_m", "y_m", "yaw_rad"].map(|key| line[key].as_f64().unwrap());
+        (x_m + ahead_m * yaw_rad.cos(), y_m + ahead_m * yaw_rad.sin())
+    };
+    let start = point(&log[0]);
+    log.iter().map(point).map(move |(x_m, y_m)| (x_m - start.0, y_m - start.1))
+}
+
 /// Reads from what the car wrote down, step by step, how far its tracked point was from the path.
 fn read(log: &[Value], config: &RunConfig) -> (f64, f64, Option<f64>) {
     let path = Path::new(&config.path);
     let mut follower = PathFollower::new(&path, 0.0);
-    let ahead_m = config.vehicle.tracked_point_m;
     let number = |line: &Value, key: &str| line[key].as_f64().unwrap();
-    let point = |line: &Value| {
-        let (x_m, y_m, yaw_rad) =
-            (number(line, "x_m"), number(line, "y_m"), number(line, "yaw_rad"));
-        (x_m + ahead_m * yaw_rad.cos(), y_m + ahead_m * yaw_rad.sin())
-    };
-    // The path begins where the car stood.
-    let (start_x_m, start_y_m) = point(&log[0]);
     let (mut farthest_m, mut along_m, mut since_ns, mut stands_s) = (0.0f64, 0.0f64, None, None);
     let mut is_over = false;
-    for line in log {
-        let (x_m, y_m) = point(line);
-        let (x_m, y_m) = (x_m - start_x_m, y_m - start_y_m);
+    for (line, (x_m, y_m)) in log.iter().zip(points_from_start(log, config)) {
         let off_m = follower.distance_m(&path, x_m, y_m);
         is_over |= follower.along_m(&path, x_m, y_m) >= path.length_m();
         if line["fault"] == true && since_ns.is_none() {

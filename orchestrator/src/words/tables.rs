@@ -326,6 +326,13 @@ pub(super) fn say_effort(whose: &str, it: &Measures, config: &RunConfig) -> Resu
         digits(it.lateral_jerk_p95_mps3, 1),
         digits(it.lateral_jerk_max_mps3, 1),
     );
+    for (key, value, limit) in it.broken_limits(&config.objective.limits) {
+        say!(
+            "  breaks a limit: {} where objective.limits.{key} is {}",
+            digits(value, 3),
+            trim(limit)
+        );
+    }
     Ok(())
 }
 

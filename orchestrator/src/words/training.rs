@@ -82,6 +82,9 @@ pub(super) fn print(
         ),
     }
     say_effort("steering of the tuned set", &it.measures, config)?;
+    if !it.measures.broken_limits(&config.objective.limits).is_empty() {
+        say!("  no set was found that keeps them all: one would have been chosen before it");
+    }
     baselines::print(it, config)?;
     match &it.plants {
         Some(check) => plants::print(check, config)?,

@@ -21,7 +21,7 @@ mod validation;
 
 use std::collections::BTreeMap;
 
-use config::NamedParameters;
+use config::{NamedParameters, ObjectiveLimits};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -181,6 +181,35 @@ pub struct Measures {
     pub progress_in_time: f64,
     /// Whether the drive ended at the end of the path.
     pub arrived: bool,
+}
+
+impl Measures {
+    /// The limits that they break, each with its key below `objective.limits`, what was measured, and the limit.
+    pub fn broken_limits(&self, limits: &ObjectiveLimits) -> Vec<(&'static str, f64, f64)> {
+        let at_most = [
+            ("steering_travel_radps", self.steering_travel_radps, limits.steering_travel_radps),
+            (
+                "steering_rate_p95_radps",
+                self.steering_rate_p95_radps,
+                limits.steering_rate_p95_radps,
+            ),
+            (
+                "lateral_acceleration_p95_mps2",
+                self.lateral_acceleration_p95_mps2,
+                limits.lateral_acceleration_p95_mps2,
+            ),
+            (
+                "lateral_acceleration_max_mps2",
+                self.lateral_acceleration_max_mps2,
+                limits.lateral_acceleration_max_mps2,
+            ),
+            ("lateral_jerk_p95_mps3", self.lateral_jerk_p95_mps3, limits.lateral_jerk_p95_mps3),
+            ("lateral_jerk_max_mps3", self.lateral_jerk_max_mps3, limits.lateral_jerk_max_mps3),
+        ];
+        let broken = at_most.into_iter().filter(|(_, value, limit)| *limit > 0.0 && value > limit);
+        let lags = self.progress_in_time < limits.progress;
+        broken.chain(lags.then_some(("progress", self.progress_in_time, limits.progress))).collect()
+    }
 }
 
 /// The schema of named parameters: a table of numbers.
