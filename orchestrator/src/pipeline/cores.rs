@@ -21,11 +21,14 @@ pub(crate) struct Placement {
 }
 
 impl Placement {
+    /// More rings than this have little use for what one trainer asks for.
+    pub(crate) const MOST_RINGS: usize = 8;
+
     /// Where each ring of a pipeline runs. There are as many rings as the plan says, or else as free cores can be kept busy: a
     /// drive comes out the same in any of them.
     pub(crate) fn of_rings(plan: &Plan, realtime: bool) -> Vec<Self> {
         let fleet = plan.config.fleet();
-        let useful = (fleet / VEHICLES_OF_RING).clamp(1, MOST_RINGS);
+        let useful = (fleet / VEHICLES_OF_RING).clamp(1, Self::MOST_RINGS);
         let wanted = plan.rings.unwrap_or(useful);
         let first = Self::new(plan.wait, fleet.div_ceil(wanted), realtime);
         let wait = first.wait;
@@ -84,8 +87,6 @@ impl Placement {
 
 /// A ring is worth its processes if it drives so many vehicles at once: with fewer, most of a tick is the hand-over.
 const VEHICLES_OF_RING: usize = 32;
-/// More rings than this have little use for what one trainer asks for.
-const MOST_RINGS: usize = 8;
 
 /// A claim on a core for a ring or one of its processes. Other pipelines see it for as long as this exists.
 #[derive(Debug)]

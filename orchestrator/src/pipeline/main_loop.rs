@@ -123,10 +123,11 @@ impl<'a> Pipeline<'a> {
             let _ = fs::write(names.root.join(CORE_FILE), cores.join(" "));
         }
         tracing::info!(waiting = wait.name(), ?cores, rings = placements.len(), "placed");
+        let count = placements.len();
         let rings: Vec<Ring> = placements
             .into_iter()
             .enumerate()
-            .map(|(number, placement)| Ring::create(names, max_len, number, placement))
+            .map(|(number, placement)| Ring::create(names, max_len, (number, count), placement))
             .collect::<Result<_, _>>()?;
         let bus = &rings[0].bus;
         let random_kills = match &plan.chaos {
@@ -294,7 +295,7 @@ impl<'a> Pipeline<'a> {
             if member.beat(now_ns()) {
                 tracing::info!(process = member.name, pid = member.pid, "ready");
                 if self.realtime {
-                    self.recoveries.mended(now_ns());
+                    self.recoveries.mended(ring, now_ns());
                 }
                 if member.entry.role == Role::Vehicle {
                     self.sequencer.limit_fleet(status.capacity as usize);
@@ -512,7 +513,7 @@ impl<'a> Pipeline<'a> {
         ring.requests.send(header, drives.len(), |index| drives[index])?;
         ring.issued_ns = header.sent_ns;
         ring.seen_ns = header.sent_ns;
-        self.recoveries.mended(now_ns());
+        self.recoveries.mended(number, now_ns());
         Ok(())
     }
 
@@ -570,7 +571,7 @@ impl<'a> Pipeline<'a> {
         }
         tracing::warn!(batch, seen = ?ring.seen, "stalled");
         self.recoveries.stalls += 1;
-        self.recoveries.broken(ring.seen_ns);
+        self.recoveries.broken(number, ring.seen_ns);
         ring.batch_is_broken = true;
         Ok(())
     }
@@ -615,7 +616,7 @@ impl<'a> Pipeline<'a> {
         {
             process.kill();
             self.recoveries.killed_at_random += 1;
-            self.recoveries.broken(now);
+            self.recoveries.broken(self.members[index].ring, now);
         }
         for index in 0..self.members.len() {
             if let Some(why) = self.members[index].trouble(now) {
@@ -632,7 +633,7 @@ impl<'a> Pipeline<'a> {
         if let State::Down { due_ns } = member.state
             && now >= due_ns
         {
-            member.start(&self.attachment, &self.rings[member.ring].placement)?;
+            member.start(&self.attachment, &self.rings[member.ring])?;
         }
         Ok(())
     }
@@ -645,7 +646,7 @@ impl<'a> Pipeline<'a> {
         }
         let pid = member.pid;
         let (now, jitter) = (now_ns(), f64::from(pid % 97) / 97.0);
-        self.recoveries.broken(now);
+        self.recoveries.broken(member.ring, now);
         let decision = member.policy.died(now, jitter);
         tracing::warn!(process = member.name, pid, why, ?decision, "replacing");
         self.observers.stand_back();

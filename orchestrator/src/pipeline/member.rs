@@ -10,10 +10,10 @@ use runtime::Attachment;
 use runtime::clock::now_ns;
 use runtime::log_file::is_cut;
 
-use crate::pipeline::cores::Placement;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::process::{Process, Program, describe, last_lines};
 use crate::pipeline::restart::{Budget, RestartPolicy};
+use crate::pipeline::ring::Ring;
 use crate::pipeline::vitals::Vitals;
 use crate::runs::state::ProcessState;
 use crate::words::Failure;
@@ -172,11 +172,7 @@ impl Member {
         self.ring == ring || self.place_in_ring().is_none()
     }
 
-    pub(crate) fn start(
-        &mut self,
-        attachment: &Attachment,
-        placement: &Placement,
-    ) -> Result<(), Failure> {
+    pub(crate) fn start(&mut self, attachment: &Attachment, ring: &Ring) -> Result<(), Failure> {
         self.incarnation += 1;
         self.refused_before = self.all_refused();
         self.refused = RefusedSamples::default();
@@ -184,8 +180,9 @@ impl Member {
         let place = self.place_in_ring();
         let attachment = Attachment {
             ring: self.ring,
+            max_len: if place.is_some() { ring.max_len } else { attachment.max_len },
             incarnation: self.incarnation,
-            core: place.and_then(|place| placement.core_of(place)),
+            core: place.and_then(|place| ring.placement.core_of(place)),
             fifo: attachment.fifo.filter(|_| place.is_some()),
             ..attachment.clone()
         };

@@ -1,5 +1,7 @@
 //! Injected faults, and how long it takes until ticks flow again.
 
+use std::collections::BTreeMap;
+
 use outcome::{DeathToTick, Recovery};
 use runtime::chaos::Spread;
 
@@ -42,19 +44,20 @@ pub(crate) struct Recoveries {
     pub(crate) killed_at_random: usize,
     /// Batches that were driven again although no process had died.
     pub(crate) stalls: usize,
-    since_ns: Option<u64>,
+    /// Since when each ring has been broken, by its number.
+    since_ns: BTreeMap<usize, u64>,
     times_ns: Vec<u64>,
 }
 
 impl Recoveries {
-    /// Notes that something broke now, unless something was broken already.
-    pub(crate) fn broken(&mut self, now_ns: u64) {
-        self.since_ns.get_or_insert(now_ns);
+    /// Notes that something in a ring broke now, unless it was broken already.
+    pub(crate) fn broken(&mut self, ring: usize, now_ns: u64) {
+        self.since_ns.entry(ring).or_insert(now_ns);
     }
 
-    /// Notes that ticks flow again.
-    pub(crate) fn mended(&mut self, now_ns: u64) {
-        if let Some(since_ns) = self.since_ns.take() {
+    /// Notes that ticks flow again in a ring.
+    pub(crate) fn mended(&mut self, ring: usize, now_ns: u64) {
+        if let Some(since_ns) = self.since_ns.remove(&ring) {
             self.times_ns.push(now_ns - since_ns);
         }
     }
@@ -92,10 +95,12 @@ mod tests {
     #[test]
     fn a_recovery_lasts_from_the_first_break_to_the_next_tick() {
         let mut recoveries = Recoveries::default();
-        recoveries.mended(5);
-        recoveries.broken(10_000_000);
-        recoveries.broken(20_000_000);
-        recoveries.mended(30_000_000);
+        recoveries.mended(0, 5);
+        recoveries.broken(0, 10_000_000);
+        recoveries.broken(0, 20_000_000);
+        // Another ring gets on.
+        recoveries.mended(1, 25_000_000);
+        recoveries.mended(0, 30_000_000);
         let recovery = recoveries.sum_up(1);
         assert_eq!((recovery.injected, recovery.recoveries), (1, 1));
         assert_eq!(recovery.death_to_tick_ms.max, Some(20.0));

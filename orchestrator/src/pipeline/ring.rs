@@ -18,6 +18,8 @@ pub(crate) struct Ring {
     pub(crate) safety: Inlet<Safety>,
     pub(crate) requests: Outlet<DriveRequest>,
     pub(crate) placement: Placement,
+    /// The largest number of elements in a message of its processes.
+    pub(crate) max_len: usize,
     /// The gate of each slot.
     pub(crate) gates: Vec<GateLog>,
     /// A process of the ring died, or a message was lost: the batch under way will not end.
@@ -36,19 +38,22 @@ pub(crate) struct Ring {
 }
 
 impl Ring {
-    /// Creates the topics of the ring with this number; those of the first one are the run's.
+    /// Creates the topics of the ring with this number, of so many that share the drives; those of the first one are the
+    /// run's, whose messages between trainer and orchestrator have up to `max_len` elements.
     pub(crate) fn create(
         names: &RunNames,
         max_len: usize,
-        number: usize,
+        (number, rings): (usize, usize),
         placement: Placement,
     ) -> Result<Self, BusError> {
+        let share = max_len.div_ceil(rings);
         let bus = match number {
             0 => Bus::create(names, max_len),
-            number => Bus::create_ring(names, max_len, number),
+            number => Bus::create_ring(names, share, number),
         }?
         .waiting(placement.wait);
         Ok(Self {
+            max_len: share,
             status: bus.inlet()?,
             reports: bus.inlet()?,
             safety: bus.inlet()?,

@@ -153,6 +153,12 @@ pub(crate) fn check_resources(max_len: usize) -> Result<(), Failure> {
     check_shared_memory(&format!("a run with {max_len} vehicles"), needed_bytes(max_len), advice)
 }
 
+/// Whether `/dev/shm` has room for so many rings; each of them has topics of its own.
+pub(crate) fn has_room_for_rings(rings: usize, max_len: usize) -> bool {
+    let needed = needed_bytes(max_len) + (rings as u64 - 1) * needed_bytes(0);
+    check_shared_memory("", needed, "").is_ok()
+}
+
 /// The same for as many pipelines at once, their main memory included.
 pub(crate) fn check_resources_of_pipelines(count: usize, max_len: usize) -> Result<(), Failure> {
     let who = if count == 1 { "a job".to_owned() } else { format!("running {count} jobs at once") };

@@ -14,6 +14,7 @@ use runtime::Wait;
 use runtime::chaos::Script;
 
 use crate::cli::{PathReading, SetupArgs, WaitArg};
+use crate::pipeline::cores::Placement;
 use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::restart::Budget;
@@ -292,7 +293,17 @@ pub(crate) fn prepare(
         preflight::check_scales(&config, &launch)?;
     }
     sweep_dead_runs();
-    preflight::check_resources(config.fleet().max(config.drivers()))?;
+    let max_len = config.fleet().max(config.drivers());
+    preflight::check_resources(max_len)?;
+    let rings = match args.rings {
+        _ if !may_have_rings => Some(1),
+        Some(rings) if !preflight::has_room_for_rings(rings.into(), max_len) => {
+            let why = format!("--rings {rings}: /dev/shm has no room for so many; take fewer");
+            return Err(Failure::User(why));
+        }
+        None if !preflight::has_room_for_rings(Placement::MOST_RINGS, max_len) => Some(1),
+        chosen => chosen.map(usize::from),
+    };
     let folder = match folder {
         Folder::Old(folder) => fs::canonicalize(folder)?,
         Folder::New(name) => preflight::make_folder(&match &args.out {
@@ -311,7 +322,7 @@ pub(crate) fn prepare(
         chaos: args.chaos.clone().map(|script| (script, args.chaos_seed)),
         quiet: args.quiet || args.json,
         wait,
-        rings: if may_have_rings { args.rings.map(usize::from) } else { Some(1) },
+        rings,
         fifo: args.fifo,
         interrupted,
     };
