@@ -40,7 +40,7 @@ def arguments():
     parser.add_argument("--ear", action="store_true", help="takes commands, but tells no odometry")
     parser.add_argument("--driver", action="store_true", help="is no car, but could drive one: publishes nothing yet")
     parser.add_argument("--small", action="store_true", help="is a car at the scale of 1:10")
-    parser.add_argument("--position-sd-m", type=float, default=0.0, help="noise of its odometry")
+    parser.add_argument("--position-sd-m", type=float, default=0.0, help="noise of its odometry, while it drives")
     parser.add_argument("--heading-half-width-rad", type=float, default=0.0, help="noise of its odometry")
     parser.add_argument("--parameters", type=int, choices=[1, 2, 3], default=2, help="CommonRoad's set: Ford, BMW, VW")
     late.add_arguments(parser)
@@ -98,8 +98,10 @@ def odometry(car, fault, args):
     message.header = ros.Header(ros.Time(now // 10**9, now % 10**9), args.frame)
     pose, twist = message.pose.pose, message.twist.twist
     x, y = x + args.point * math.cos(yaw), y + args.point * math.sin(yaw)
-    x, y = random.gauss(x, args.position_sd_m), random.gauss(y, args.position_sd_m)
-    yaw += random.uniform(-args.heading_half_width_rad, args.heading_half_width_rad)
+    if abs(forward) > 0.05:
+        # Where it stands, it has had the time to find out.
+        x, y = random.gauss(x, args.position_sd_m), random.gauss(y, args.position_sd_m)
+        yaw += random.uniform(-args.heading_half_width_rad, args.heading_half_width_rad)
     pose.position.x, pose.position.y = fault.tells(x, y, yaw)
     pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
     twist.linear.x, twist.linear.y, twist.angular.z = forward, left, yaw_rate

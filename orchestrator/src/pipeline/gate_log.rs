@@ -1,4 +1,8 @@
-//! What the log says of a gate's state: one line a change, and where it changes all the time, some of them counted.
+//! What is said of a gate's state: in the log one line a change, and where it changes all the time, some of them counted; to the
+//! user, how a vehicle is stopped.
+
+use config::RunConfig;
+use ipc_types::Safety;
 
 /// A line of a vehicle's gate comes at most this often.
 const LINE_EVERY_NS: u64 = 1_000_000_000;
@@ -31,6 +35,41 @@ impl GateLog {
         }
         self.told_ns = Some(now_ns);
         Some(std::mem::take(&mut self.untold))
+    }
+}
+
+/// How a vehicle is stopped, in words.
+pub(crate) struct StopWords {
+    /// A negative speed may be commanded, which brakes the vehicle.
+    brakes: bool,
+    /// Within which time somebody may let it drive again; `None` where nobody can.
+    rearm_within_s: Option<f64>,
+}
+
+impl StopWords {
+    /// For the vehicles of a run; `realtime` if somebody may rearm them.
+    pub(crate) fn new(config: &RunConfig, realtime: bool) -> Self {
+        Self {
+            brakes: config.vehicle.safety.reverse_limit_mps > 0.0,
+            rearm_within_s: realtime.then_some(config.drive.patience_s),
+        }
+    }
+
+    /// How it is stopped for these reasons, and what lets it drive again.
+    pub(crate) fn words(&self, reasons: u32) -> String {
+        let mut words = Safety::words_of_action(Safety::action_name(reasons)).to_owned();
+        if !self.brakes {
+            words += ", at a command of 0 m/s, as its file allows none below (vehicle.safety.reverse_limit_mps)";
+        }
+        // A stop for how it drove is the drive's result.
+        if let Some(within_s) = self.rearm_within_s.filter(|_| reasons & Safety::OF_THE_DRIVE == 0)
+        {
+            words += "; `pathtune rearm` lets it drive again";
+            if within_s.is_finite() {
+                words += &format!(" within {within_s} s (drive.patience_s)");
+            }
+        }
+        words
     }
 }
 

@@ -22,7 +22,7 @@ use rustix::time::Timespec;
 use signal_hook::consts::SIGINT;
 
 use crate::pipeline::cores::Placement;
-use crate::pipeline::gate_log::GateLog;
+use crate::pipeline::gate_log::{GateLog, StopWords};
 use crate::pipeline::interrupts::Interrupts;
 use crate::pipeline::member::{Member, RefusedSamples, State};
 use crate::pipeline::observers::ObserverCare;
@@ -62,10 +62,6 @@ const WARN_EVERY_NS: u64 = 1_000_000_000;
 /// Time between two checks for dead children while messages flow.
 const REAP_EVERY_NS: u64 = 1_000_000;
 
-/// What is told of the brake of a vehicle whose file allows no negative speed.
-const NO_BRAKE: &str =
-    ", at a command of 0 m/s, as its file allows none below (vehicle.safety.reverse_limit_mps)";
-
 /// A running pipeline.
 pub(crate) struct Pipeline<'a> {
     attachment: Attachment,
@@ -87,9 +83,7 @@ pub(crate) struct Pipeline<'a> {
     /// For what a vehicle waits, and the reasons of the stop that ended the drive because nobody came.
     standing: Standing,
     out_of_patience: Option<u32>,
-    patience_s: f64,
-    /// A negative speed may be commanded, which brakes the vehicle.
-    brakes: bool,
+    stops: StopWords,
     random_kills: RandomKills,
     recoveries: Recoveries,
     observers: ObserverCare,
@@ -178,8 +172,7 @@ impl<'a> Pipeline<'a> {
             stops_told: 0,
             standing: Standing::new(config),
             out_of_patience: None,
-            patience_s: config.drive.patience_s,
-            brakes: config.vehicle.safety.reverse_limit_mps > 0.0,
+            stops: StopWords::new(config, realtime),
             random_kills,
             recoveries: Recoveries::default(),
             observers: ObserverCare::default(),
@@ -406,20 +399,9 @@ impl<'a> Pipeline<'a> {
                 let why = describe_reasons(now.reasons);
                 match now.state {
                     Safety::STOPPING => {
-                        let how = Safety::words_of_action(Safety::action_name(now.reasons));
-                        let gently = if self.brakes { "" } else { NO_BRAKE };
-                        let on = self.realtime && !of_the_drive;
-                        let within = match self.patience_s {
-                            s if s.is_finite() => format!(" within {s} s (drive.patience_s)"),
-                            _ => String::new(),
-                        };
-                        let on = match on {
-                            true => format!("; `pathtune rearm` lets it drive again{within}"),
-                            false => String::new(),
-                        };
-                        self.progress.notice(&format!(
-                            "vehicle {slot} is being stopped: {why}; {how}{gently}{on}"
-                        ));
+                        let how = self.stops.words(now.reasons);
+                        self.progress
+                            .notice(&format!("vehicle {slot} is being stopped: {why}; {how}"));
                     }
                     Safety::STOPPED => {
                         self.progress.notice(&format!("vehicle {slot} stands"));

@@ -263,7 +263,9 @@ fn print_choice_by_means(
     if is_over_plants {
         print_choice_over_plants(noise, chosen, config)?;
     }
-    if config.noise.enabled && config.vehicle.gear_engaged {
+    // A vehicle without a gear selector takes no time for it.
+    let has_gear = config.vehicle.gear_drive_s > 0.0;
+    if config.noise.enabled && config.vehicle.gear_engaged && has_gear {
         say!("all drives, noise-free ones too, began with the drive gear engaged");
     }
     // Without noise and plants there is nothing that two drives have in common.

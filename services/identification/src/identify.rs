@@ -206,9 +206,9 @@ pub fn identify(
     let noise = NoiseFound {
         speed_sd_mps: noise_of(&chosen, |it| &it.speed_mps),
         yaw_rate_sd_radps: measured(noise_of(&chosen, |it| &it.yaw_rate_radps)),
-        position_sd_m: of_steering.weights.spreads[POSITION],
+        position_sd_m: of_steering.weights.deviations[POSITION],
         // A triangular distribution of half width h has a standard deviation of h/√6.
-        heading_half_width_rad: 6.0_f64.sqrt() * of_steering.weights.spreads[HEADING],
+        heading_half_width_rad: 6.0_f64.sqrt() * of_steering.weights.deviations[HEADING],
     };
     let spreads = &of_steering.weights.spreads;
     let residuals = Residuals {

@@ -65,7 +65,11 @@ pub(crate) trait Model {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Weights {
     pub(crate) each: Vec<f64>,
+    /// Told by medians, as if the noise were normal.
     pub(crate) spreads: Vec<f64>,
+    /// Standard deviations of what is within a few spreads, whatever the noise is like: of noise that is even, a median tells
+    /// 1.3 times as much.
+    pub(crate) deviations: Vec<f64>,
 }
 
 /// Median; 0 of nothing.
@@ -83,6 +87,16 @@ pub(crate) fn robust_sd(values: impl Iterator<Item = f64>) -> f64 {
     MAD_TO_SD * median(&mut absolutes)
 }
 
+/// What is farther from 0 than so many spreads is no noise.
+const OUTLIERS: f64 = 4.0;
+
+/// Standard deviation around 0 of the values that are no farther from it than `within`; 0 of nothing.
+fn sd_within(values: &[f64], within: f64) -> f64 {
+    let near = values.iter().filter(|it| it.abs() <= within);
+    let (sum, count) = near.fold((0.0, 0_usize), |(sum, count), it| (sum + it * it, count + 1));
+    (sum / count.max(1) as f64).sqrt()
+}
+
 /// Standard deviation of white noise, whatever the car did: differences of the third order know no motion that is smooth.
 pub(crate) fn white_noise_sd(values: &[f64]) -> f64 {
     let differences = values.windows(4).map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
@@ -92,7 +106,8 @@ pub(crate) fn white_noise_sd(values: &[f64]) -> f64 {
 /// All the same.
 pub(crate) fn even(model: &impl Model) -> Weights {
     let channels = model.floors().len();
-    Weights { each: vec![1.0; model.places().len()], spreads: vec![1.0; channels] }
+    let ones = || vec![1.0; channels];
+    Weights { each: vec![1.0; model.places().len()], spreads: ones(), deviations: ones() }
 }
 
 /// The weights at a place. `counts` says which blocks are fitted; the others have weight 0.
@@ -105,13 +120,15 @@ pub(crate) fn weigh(
     let places = model.places();
     let mut residuals = vec![0.0; places.len()];
     model.residuals(at, &last.each, &mut residuals);
-    let spreads: Vec<f64> = (0..model.floors().len())
+    let (spreads, deviations): (Vec<f64>, Vec<f64>) = (0..model.floors().len())
         .map(|channel| {
             let of = places.iter().zip(&residuals);
             let of = of.filter(|(it, _)| it.channel == channel && it.telling && counts(it.block));
-            robust_sd(of.map(|(_, residual)| *residual)).max(model.floors()[channel])
+            let of: Vec<f64> = of.map(|(_, residual)| *residual).collect();
+            let spread = robust_sd(of.iter().copied()).max(model.floors()[channel]);
+            (spread, sd_within(&of, OUTLIERS * spread))
         })
-        .collect();
+        .unzip();
     let weight = |(place, residual): (&Place, &f64)| {
         if !counts(place.block) {
             return 0.0;
@@ -119,7 +136,7 @@ pub(crate) fn weigh(
         let share = HUBER * spreads[place.channel] / residual.abs().max(1e-300);
         share.min(1.0).sqrt() / spreads[place.channel]
     };
-    Weights { each: places.iter().zip(&residuals).map(weight).collect(), spreads }
+    Weights { each: places.iter().zip(&residuals).map(weight).collect(), spreads, deviations }
 }
 
 /// Residuals and cost at a place.

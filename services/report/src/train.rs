@@ -403,9 +403,9 @@ fn finalists(
                 ", which chose nothing."
             }
             @if has_rank { " Its rank by the mean is over " (integer(noise.holdout.into())) " other noise seeds." }
-            @if is_noisy {
-                " The drive gear was engaged from the start, unless the configuration says otherwise; therefore even the "
-                "noise-free figures differ from those of a validation."
+            @if is_noisy && config.vehicle.gear_engaged && config.vehicle.gear_drive_s > 0.0 {
+                " The drive gear was engaged from the start; therefore even the noise-free figures differ from those of a "
+                "validation."
             }
         }
         @if let Some(against) = &noise.against_paper { (comparison("the paper’s set", against, config)) }
