@@ -126,8 +126,9 @@ fn values_are_found_written_and_brought_back() {
     let interval = table["uncertainty"]["wheelbase_m"].as_array().unwrap();
     let [low, high] = [0, 1].map(|end: usize| interval[end].as_float().unwrap());
     assert!(low <= found.wheelbase_m && found.wheelbase_m <= high && high - low < 0.05);
-    // Of noise that is even over ± 0.03 m half lies within 0.015 m, as of a Gaussian one of 0.0222 m.
-    near(table["noise"]["position_sd_m"].as_float().unwrap(), 0.0222, 0.1);
+    // Noise that is even over ± 0.03 m has this standard deviation; by the half of it that lies within 0.015 m it would be
+    // taken for one of 0.0222 m.
+    near(table["noise"]["position_sd_m"].as_float().unwrap(), 0.03 / 3.0_f64.sqrt(), 0.05);
     assert!(table["noise"]["yaw_rate_sd_radps"].as_float().unwrap() > 0.0);
     let stated = Layers::vehicle_of_file(sandbox.path("car.toml").to_str().unwrap()).unwrap();
     assert!(stated.uncertainty.identified && stated.noise.position_sd_m.is_some());
