@@ -57,14 +57,16 @@ fn noise_of_the_heading_is_told_by_its_standard_deviation_whatever_it_is_like() 
     let sensors = Sensors { heading_sd_rad: 0.0, ..SENSORS };
     let exact = excite(&car, &sensors, &mut dice);
     // Normal, and even: of the latter the median of the absolutes is larger.
-    let draws: [(&str, fn(&mut Dice) -> f64); 2] =
-        [("normal", Dice::normal), ("even", |dice| 3.0_f64.sqrt() * dice.uniform(-1.0, 1.0))];
-    for (what, draw) in draws {
+    for is_even in [false, true] {
         let mut noisy = exact.clone();
-        noisy.odometry.iter_mut().for_each(|seen| seen.yaw_rad += 0.01 * draw(&mut dice));
+        for seen in &mut noisy.odometry {
+            let draw =
+                if is_even { 3.0_f64.sqrt() * dice.uniform(-1.0, 1.0) } else { dice.normal() };
+            seen.yaw_rad += 0.01 * draw;
+        }
         let found = identify(&[noisy], &file, Options::default()).unwrap();
         let share = found.noise.heading_half_width_rad / 6.0_f64.sqrt() / 0.01;
-        assert!((share - 1.0).abs() < 0.05, "{what}: {share}");
+        assert!((share - 1.0).abs() < 0.05, "even: {is_even}, {share}");
     }
 }
 
