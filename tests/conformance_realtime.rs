@@ -29,7 +29,8 @@ fn a_broken_own_stop_is_found() {
         ("clock, no own stop", "own_stop", &[]),
         ("clock, stops hard", "own_stop_slows", &[]),
         ("clock, takes late ones", "counts_late", &[]),
-        ("clock, never resumes", "resumes", &[]),
+        // On a loaded machine a command may come too late before that is meant, and it stands from then on.
+        ("clock, never resumes", "resumes", &["forward", "steer_left"]),
         ("clock, any run", "drops_run", &[]),
     ]);
 }
