@@ -45,16 +45,8 @@ impl Sweep {
             .args(["grid", MANEUVER])
             .args(spread(law, drives_of(law, fleet))?.iter().flat_map(|it| ["--set", it]))
             // Wait as the rings do, whatever else the machine would allow.
-            .args([
-                "--wait",
-                "yield",
-                "--rings",
-                "1",
-                "--fleet",
-                &fleet.to_string(),
-                "--json",
-                "--out",
-            ])
+            .args(["--wait", "yield", "--rings", "1"])
+            .args(["--fleet", &fleet.to_string(), "--json", "--out"])
             .arg(folder.path().join("run"))
             .args(more)
             .env(FILE_VARIABLE, folder.path().join(TICK_TIMES))

@@ -1,6 +1,7 @@
 //! Limits of a drive beside its objective: a price on turning the wheels, and bounds that a drive is to keep.
 //!
-//! A further limit is a key of `config::ObjectiveLimits` and a row of [`Limits::bounds`].
+//! A further limit is a key of `config::ObjectiveLimits`, a row of [`Limits::bounds`], and a row of `broken_limits` in
+//! `services/outcome`, by which it is told that a set breaks it.
 
 use config::ObjectiveLimits;
 
