@@ -5,13 +5,12 @@ use ipc_types::Safety;
 
 /// Faults that stop the vehicle at once: nobody can drive it, and whatever is told makes it worse; or they rest on
 /// seconds of evidence already; or there is just the room for a stop.
-const AT_ONCE: u32 =
-    Safety::STEERING_REVERSED | Safety::OUT_OF_ENVELOPE | Safety::AREA | Safety::POSE_STANDS;
+const AT_ONCE: [u32; 4] =
+    [Safety::STEERING_REVERSED, Safety::OUT_OF_ENVELOPE, Safety::AREA, Safety::POSE_STANDS];
 
-/// What comes late, as on a machine that is busy for a moment.
-const LATE: u32 = Safety::COMMAND_STALE | Safety::ODOMETRY_STALE;
-/// The share of the time without faults that makes up for time with them. A fault that comes and goes adds up: what is late
-/// for more than 3 of 7 parts of the time, and what is wrong for more than a fifth of it.
+/// The share of the time without faults that makes up for time with them. A fault that comes and goes adds up: what comes
+/// late, as on a machine that is busy for a moment, for more than 3 of 7 parts of the time, and what is wrong for more than a
+/// fifth of it.
 const FORGIVES_LATE: f64 = 0.75;
 const FORGIVES_WRONG: f64 = 0.25;
 
@@ -92,13 +91,14 @@ impl Guard {
             }
             State::Normal | State::Degraded => {
                 self.faulty_s += dt_s;
-                if faults & !(LATE | Safety::TOLD) != 0 {
+                let late = [Safety::COMMAND_STALE, Safety::ODOMETRY_STALE];
+                if late.iter().fold(faults & !Safety::TOLD, |left, late| left & !late) != 0 {
                     self.forgives = FORGIVES_WRONG;
                 }
                 self.reasons = faults;
-                let lasts = self.faulty_s > self.degraded_limit_s;
-                self.state =
-                    if lasts || faults & AT_ONCE != 0 { State::Stopping } else { State::Degraded };
+                let stops = self.faulty_s > self.degraded_limit_s
+                    || AT_ONCE.iter().any(|it| faults & it != 0);
+                self.state = if stops { State::Stopping } else { State::Degraded };
             }
             State::Stopping => {
                 // A negative command only brakes.
@@ -135,7 +135,7 @@ impl Guard {
             (self.state, self.reasons) = (State::Normal, 0);
             (self.faulty_s, self.forgives) = (0.0, FORGIVES_LATE);
         } else if self.state.is_latched() {
-            self.reasons = self.reasons & !Safety::NO_LEG | faults & Safety::NO_LEG;
+            self.reasons = (self.reasons | Safety::NO_LEG) & (faults | !Safety::NO_LEG);
         }
         ready
     }

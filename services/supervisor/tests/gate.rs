@@ -275,6 +275,8 @@ fn a_full_brake_may_have_a_limit_of_its_own() {
     // A vehicle whose speed is not known is not turned farther.
     let passed = gate.brake(TICK_S, -1.0, 0.3, f64::NAN);
     assert!(near(passed.steering_rad, most_rad) && passed.change.lateral_limited, "{passed:?}");
+    let held = gate.steering_rad();
+    assert!(!gate.brake(TICK_S, -1.0, held, f64::NAN).change.lateral_limited);
     // Afterwards all limits hold as before: 100 m/s³ and 2 m/s².
     let passed = gate.pass(TICK_S, 9.0, raw(3.0, 0.0));
     assert!(near(passed.speed_mps, -0.99), "{}", passed.speed_mps);

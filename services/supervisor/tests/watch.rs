@@ -204,6 +204,63 @@ fn a_jump_is_measured_from_where_and_when_the_last_one_was_and_its_limit_is_none
 }
 
 #[test]
+fn each_of_some_faults_stops_at_once() {
+    for fault in [
+        Safety::STEERING_REVERSED,
+        Safety::OUT_BY_QUALITY,
+        Safety::OUT_BY_YAW,
+        Safety::AREA,
+        Safety::POSE_STANDS,
+    ] {
+        let mut guard = Guard::new(&config(&[]));
+        assert_eq!(guard.update(TICK_S, fault, 1.0, 1.0), State::Stopping, "{fault:#x}");
+    }
+    let mut guard = Guard::new(&config(&[]));
+    assert_eq!(guard.update(TICK_S, Safety::COMMAND_STALE, 1.0, 1.0), State::Degraded);
+}
+
+#[test]
+fn what_comes_late_is_forgiven_sooner_than_what_is_wrong() {
+    // A tenth of a second with the fault, and then without it until it is forgotten: by then a new one may last as long as
+    // the first one might have.
+    let degraded_limit_s = config(&[]).vehicle.safety.degraded_limit_s;
+    let lasts_after = |fault: u32, healthy: usize| {
+        let mut guard = Guard::new(&config(&[]));
+        for _ in 0..10 {
+            guard.update(TICK_S, fault, 1.0, 1.0);
+        }
+        for _ in 0..healthy {
+            guard.update(TICK_S, 0, 1.0, 1.0);
+        }
+        let ticks = 1..10_000;
+        let stops = |_: &usize| guard.update(TICK_S, fault, 1.0, 1.0) == State::Stopping;
+        ticks.into_iter().find(stops).expect("it stops") as f64 * TICK_S
+    };
+    let unhindered = lasts_after(Safety::COMMAND_STALE, 100);
+    assert!((unhindered - degraded_limit_s).abs() < 2.0 * TICK_S, "{unhindered}");
+    for fault in
+        [Safety::COMMAND_STALE, Safety::ODOMETRY_STALE, Safety::COMMAND_STALE | Safety::TOLD]
+    {
+        assert!(unhindered - lasts_after(fault, 14) < 1.5 * TICK_S, "{fault:#x}");
+    }
+    for fault in [Safety::ODOMETRY_INVALID, Safety::ODOMETRY_JUMP, Safety::STEERING_IGNORED] {
+        assert!(unhindered - lasts_after(fault, 14) > 3.5 * TICK_S, "{fault:#x}");
+    }
+}
+
+#[test]
+fn that_no_leg_was_found_is_told_until_the_next_try() {
+    let mut guard = Guard::new(&config(&[]));
+    guard.stop(Safety::ODOMETRY_JUMP);
+    for _ in 0..2 {
+        assert!(!guard.rearm(Safety::NO_LEG | Safety::ODOMETRY_JUMP));
+        assert_eq!(guard.reasons(), Safety::ODOMETRY_JUMP | Safety::NO_LEG);
+    }
+    assert!(!guard.rearm(Safety::ODOMETRY_INVALID));
+    assert_eq!(guard.reasons(), Safety::ODOMETRY_JUMP);
+}
+
+#[test]
 fn a_fault_that_is_seen_twice_is_still_one() {
     let mut watch = Watch::new(&config(&[]));
     watch.see(0, at(0.0), true);

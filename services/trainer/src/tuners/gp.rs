@@ -1,5 +1,8 @@
-//! Bayesian optimisation: a Gaussian process on the logarithm of the objective says which set to drive next, the one that
-//! is expected to improve most on the best so far.
+//! Bayesian optimisation: a Gaussian process on the objective says which set to drive next, the one that is expected to
+//! improve most on the best so far.
+//!
+//! The process sees the logarithm of the objective. Between the values of a grid and without noise it sees instead by which
+//! share the best so far is less: so all bad sets look alike, and the last per cents count.
 //!
 //! D. R. Jones, M. Schonlau, W. J. Welch, "Efficient Global Optimization of Expensive Black-Box Functions" (1998). Under
 //! noise the best so far is the least mean of the process at the sets that were driven, and the choice goes by that mean:
@@ -34,7 +37,7 @@ const ALONG_AXES_BY: [f64; 4] = [0.4, 0.2, 0.1, 0.05];
 const ONE_STEP_FROM: usize = 20;
 /// An end of an axis counts as tried beside the best set if the other coordinates were then no farther off than this.
 const BESIDE: f64 = 0.15;
-/// An end is not tried that comes to so much more by its mean, as a logarithm, even less so many standard deviations.
+/// An end is not tried that comes to so much more by its mean, as the process sees it, even less so many standard deviations.
 const HOPELESS: f64 = 0.25;
 const DOUBTED: f64 = 4.0;
 const CURIOUS: f64 = 2.0;
@@ -47,8 +50,10 @@ const BAD: f64 = 3.0;
 /// The tuner.
 pub(super) fn new(config: &RunConfig) -> Search<Gp> {
     let setting = |key: &str| config.tuner.settings.number(key) as usize;
-    let (first, together) = (setting("first").max(1), setting("together").max(1));
+    let (on_grid, between) = (setting("first"), setting("first_continuous"));
+    let together = setting("together").max(1);
     Search::new(config, |space| {
+        let first = if space.cube.len().is_some() { on_grid } else { between }.max(1);
         let sequence = space.sobol();
         Gp { first, together, sequence, next: 0, hope: f64::INFINITY }
     })
@@ -62,7 +67,7 @@ pub(crate) struct Gp {
     together: usize,
     sequence: search::Sobol,
     next: u32,
-    /// The greatest expected improvement, when it was asked for last: in the logarithm of the value.
+    /// The greatest expected improvement, when it was asked for last: as a share of the value.
     hope: f64,
 }
 
@@ -140,11 +145,7 @@ impl Gp {
 
     /// The candidate with the greatest expected improvement that may be driven; `None` if there is none.
     fn best(&mut self, space: &mut Space, process: &Process, but: &[Point]) -> Option<Point> {
-        let judged = if space.noise {
-            means_at_known(space, process)
-        } else {
-            space.known.iter().map(log_mean).collect()
-        };
+        let judged = if space.noise { means_at_known(space, process) } else { seen(space) };
         let least = judged.iter().copied().fold(f64::INFINITY, f64::min);
         let turn = space.known.len() + but.len();
         if !space.noise
@@ -364,13 +365,19 @@ fn best_of(process: &Process, least: f64, candidates: Vec<Point>) -> Option<(Poi
     candidates.into_iter().nth(number).map(|point| (point, score))
 }
 
-fn log_mean(known: &Known) -> f64 {
-    libm::log(known.mean().max(LEAST))
+/// The values that are known, as the process sees them.
+fn seen(space: &Space) -> Vec<f64> {
+    let values = space.known.iter().map(|it| it.mean().max(LEAST));
+    if space.noise || space.cube.len().is_some() {
+        return values.map(libm::log).collect();
+    }
+    let least = space.least().max(LEAST);
+    values.map(|value| 1.0 - least / value).collect()
 }
 
 /// What is known, as the process sees it.
 fn readings(space: &Space) -> Vec<Reading> {
-    let values: Vec<f64> = space.known.iter().map(log_mean).collect();
+    let values = seen(space);
     let mut sorted = values.clone();
     sorted.sort_unstable_by(f64::total_cmp);
     let (least, median) = (sorted[0], sorted[sorted.len() / 2]);
