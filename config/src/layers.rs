@@ -407,6 +407,7 @@ impl Layers {
             vehicle.remove(vehicles::BASE);
             vehicle.remove(vehicles::EARLIER_BASE);
         }
+        self.note(vehicles::doubts(name, &file));
         let left_out = vehicles::left_out(&file);
         if base.is_none() && !left_out.is_empty() {
             self.borrowed = Some(vehicles::Borrowed { file: name.to_owned(), keys: left_out });

@@ -7,7 +7,7 @@
 use toml::{Table, Value};
 
 use crate::ConfigError;
-use crate::layers::{find, keys, merge, parse_table};
+use crate::layers::{find, keys, merge, number, parse_table};
 use crate::presets::{hint, names_in, preset};
 
 /// The key of a vehicle's file that names the preset below it.
@@ -69,6 +69,18 @@ pub(crate) fn left_out(file: &Table) -> Vec<String> {
     let is_named = |key: &str| find(file, key).is_some();
     all.retain(|key| !key.starts_with(&format!("{ADAPTER}.")) && !is_named(key));
     all
+}
+
+/// What a file's values make doubtful, though they may be meant so.
+pub(crate) fn doubts(name: &str, file: &Table) -> Option<String> {
+    /// The quickest servos of model cars turn the wheels by some 10 rad/s.
+    const QUICK_RADPS: f64 = 15.0;
+    const KEY: &str = "steering_rate_radps";
+    let rate = find(file, KEY).and_then(number).filter(|rate| *rate > QUICK_RADPS)?;
+    Some(format!(
+        "{name}: {KEY} is {rate} rad/s, quicker than any car's steering; if it is in degrees, write {:.3}",
+        rate.to_radians()
+    ))
 }
 
 /// Values that a vehicle's file has from another car, because it neither names them nor the preset whose values are right.
@@ -224,6 +236,16 @@ mod tests {
         check(left_out, &["car.toml", "tracked_point_m", "is 0.7", "tesla_model_3", "base ="]);
         let missing = Layers::maneuver("lane_change").unwrap().set_vehicle("--vehicle", "f1tenht");
         assert!(missing.unwrap_err().to_string().contains("did you mean f1tenth?"));
+    }
+
+    #[test]
+    fn a_steering_rate_that_may_be_in_degrees_is_doubted() {
+        for (rate, is_doubted) in [("35", true), ("15", false), ("3.2", false)] {
+            let file: Table = format!("steering_rate_radps = {rate}").parse().unwrap();
+            let told = doubts("car.toml", &file);
+            assert_eq!(told.is_some(), is_doubted, "{rate}");
+            assert!(told.is_none_or(|it| it.contains("car.toml") && it.contains("0.611")));
+        }
     }
 
     #[test]
