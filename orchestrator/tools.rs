@@ -51,7 +51,12 @@ fn ground(config: &RunConfig, by_zone: &[Parameters]) -> [f64; 4] {
 fn compare(args: &CompareArgs) -> Result<(), Failure> {
     let seeds = u64::from(args.seeds);
     let mut laws = Vec::new();
-    for configs in commands::compare_configs(args)? {
+    let failed = |why: report::ReportError| Failure::User(why.to_string());
+    let studies = commands::compare_configs(args)?;
+    if let Some(folder) = &args.report {
+        report::make_folder(folder).map_err(failed)?;
+    }
+    for configs in studies {
         let tell = |tuner: &str, done| {
             if done == seeds {
                 commands::tell_compared(args, &configs[0].law.name, tuner);
@@ -62,8 +67,7 @@ fn compare(args: &CompareArgs) -> Result<(), Failure> {
     }
     commands::print_comparisons(args, &laws)?;
     if let Some(folder) = &args.report {
-        let page = report::write_compared(folder, &laws);
-        let page = page.map_err(|why| Failure::User(why.to_string()))?;
+        let page = report::write_compared(folder, &laws).map_err(failed)?;
         eprintln!("pathtune: {}", page.display());
     }
     Ok(())

@@ -320,6 +320,22 @@ impl Layers {
         self.notes.extend(notes);
     }
 
+    /// Whether the user has set a key: by an option, or in a file that is no preset.
+    pub fn is_set(&self, key: &str) -> bool {
+        self.origins.contains_key(key)
+    }
+
+    /// An error about a turn that the vehicle cannot drive, with what its file leaves out.
+    pub(crate) fn with_whose(&self, mut error: ConfigError) -> ConfigError {
+        let borrowed =
+            self.borrowed.clone().filter(|_| error.problem.contains("the vehicle's least"));
+        let whose = borrowed.and_then(|it| it.whose("vehicle.steering_limit_rad"));
+        error.problem += &whose
+            .unwrap_or_default()
+            .replace("leaves it out, so it is", "leaves steering_limit_rad out, so it is");
+        error
+    }
+
     /// The vehicle of the layers so far, if its keys are those of one.
     pub(crate) fn vehicle_so_far(&self) -> Option<Vehicle> {
         self.values.get("vehicle")?.clone().try_into().ok()
@@ -581,8 +597,17 @@ fn no_toml(
     message: &str,
 ) -> ConfigError {
     let line = span.map_or(1, |span| line_of(text, span.start));
-    let hint =
-        if text.contains('=') { "" } else { "; a TOML file is wanted here, of lines key = value" };
+    let value = text.lines().nth(line - 1).and_then(|it| it.split_once('='));
+    let value = value.map_or("", |(_, value)| value.trim());
+    let hint = match value.chars().next() {
+        _ if !text.contains('=') => "; a TOML file is wanted here, of lines key = value",
+        Some('.') => "; a number begins with a digit, as in 0.5",
+        Some(first) if first.is_ascii_digit() && value.contains(',') => {
+            "; a number has a point, as in 0.5"
+        }
+        Some(first) if first.is_alphabetic() => "; a text stands in quotes, as in \"f1tenth\"",
+        _ => "",
+    };
     ConfigError::new(format!("{origin}:{line}"), "", format!("{message}{hint}"))
 }
 
@@ -691,9 +716,9 @@ fn unknown_key(known: &Table, key: &str, origin: String) -> ConfigError {
     let mut all = Vec::new();
     keys(known, "", &mut all);
     let word = key.rsplit('.').next().unwrap_or(key);
-    let near = nearest(key, all.iter().map(String::as_str)).or_else(|| {
-        all.iter().map(String::as_str).find(|known| known.rsplit('.').next() == Some(word))
-    });
+    let mut namesakes = all.iter().filter(|known| known.rsplit('.').next() == Some(word));
+    let near = namesakes.next().map(String::as_str);
+    let near = near.or_else(|| nearest(key, all.iter().map(String::as_str)));
     let hint = match near {
         Some(near) => format!("did you mean {near}?"),
         None if ["vehicle", "law"].contains(&key) => {

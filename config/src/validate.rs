@@ -248,6 +248,7 @@ fn presets(config: &RunConfig) -> Result<(), Problem> {
     }
     law::validate(&config.law)?;
     tuner(&config.learning.tuner, &config.tuner)?;
+    objective_settings(config)?;
     let limits = &config.objective.limits;
     for (key, limit) in [
         ("steering_travel_price_radps", limits.steering_travel_price_radps),
@@ -262,6 +263,26 @@ fn presets(config: &RunConfig) -> Result<(), Problem> {
     }
     within("objective.limits.progress", limits.progress, 0.0, 1.0)?;
     within("objective.cap_wheelbases", config.objective.cap_wheelbases, 0.0, 1000.0)
+}
+
+/// Weights and scales, of which at least one weight counts.
+fn objective_settings(config: &RunConfig) -> Result<(), Problem> {
+    const MOST: f64 = 1e9;
+    const WEIGHT: &str = "_weight";
+    let settings = &config.objective.settings;
+    for (setting, value) in &settings.0 {
+        let key = format!("objective.settings.{setting}");
+        if value.is_str() {
+            return Err((key, format!("is {value}, but must be a number in [0, {MOST}]")));
+        }
+        within(&key, settings.number(setting), 0.0, MOST)?;
+    }
+    let mut weights = settings.0.keys().filter(|setting| setting.ends_with(WEIGHT)).peekable();
+    if weights.peek().is_some() && weights.all(|weight| settings.number(weight) == 0.0) {
+        let problem = "has weights that are all 0, so that every set is as good; raise one of them";
+        return Err(("objective.settings".to_owned(), problem.to_owned()));
+    }
+    Ok(())
 }
 
 /// A scale of 0, which stands for an objective's least value in the grid, needs a grid that is driven.
@@ -308,6 +329,13 @@ fn tuner(name: &str, tuner: &TunerConfig) -> Result<(), Problem> {
         }
         let number = tuner.settings.number(setting);
         within(&key, number, *low, *high)?;
+        if setting == "best" && number > tuner.settings.number("population") {
+            let population = tuner.settings.number("population");
+            let problem = format!(
+                "is {value}, but a generation has tuner.settings.population = {population} sets; lower one, or raise the other"
+            );
+            return Err((key, problem));
+        }
         if number.fract() != 0.0 && is_whole_number(name, setting) {
             let problem = format!("is {value}, but must be a whole number in [{low}, {high}]");
             return Err((key, problem));

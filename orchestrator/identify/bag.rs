@@ -43,7 +43,12 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
             let told: messages::Odometry = decode(data, topic, "nav_msgs/Odometry")?;
             drive.odometry.push(of_message(&told, time_s));
         } else if topic == command_topic {
-            if let (None, Some(told)) = (args.command_type, type_named(message.kind)) {
+            if let Some(told) = type_named(message.kind) {
+                ensure!(
+                    args.command_type.is_none_or(|wanted| wanted == told),
+                    "--command-type: the commands on {topic} are {} by the bag's own word; leave it out",
+                    message.kind
+                );
                 kind = told;
             }
             let (steering_rad, speed_mps) = match kind {
@@ -86,6 +91,9 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
         );
         Ok(())
     })?;
+    if let (true, Some(why)) = (topics.is_empty(), &cut_off) {
+        bail!("holds nothing that can be read: it {why}");
+    }
     for (what, topic, option, count) in [
         ("odometry", odometry_topic, "--odometry", drive.odometry.len()),
         ("commands", command_topic, "--command", drive.commands.len()),

@@ -203,7 +203,8 @@ pub struct TrainArgs {
     /// The tuner: a preset; `pathtune config list` lists them [default: educated-q]
     #[arg(long, value_name = "NAME")]
     pub tuner: Option<String>,
-    /// Budget of drives, repeats under noise included; only for tuners without episodes [default: the tuner's]
+    /// Budget of drives, repeats under noise included; with --over, of sets, each driven on all plants; only for tuners
+    /// without episodes [default: the tuner's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub drives: Option<u32>,
     /// Simulate all sets on N plants first, which are vehicles that the car may really be; then drive few of them, of --drives
@@ -213,7 +214,8 @@ pub struct TrainArgs {
         value_parser = clap::value_parser!(u32).range(2..=256),
     )]
     pub simulate_first: Option<u32>,
-    /// Drive only sets that stay within M metres of the path on all simulated plants [default: 1]
+    /// Drive only sets that stay within M metres of the path on all simulated plants [default: 1, or where the supervisor
+    /// stops the car, if that is less]
     #[arg(long, value_name = "M", requires = "simulate_first")]
     pub within: Option<f64>,
     /// Over which plants each set is driven.

@@ -1,7 +1,7 @@
 //! `pathtune config` and `pathtune schema`: print or write what is embedded in the binary.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
 
@@ -75,12 +75,12 @@ fn show_key(word: &str) -> Result<(), Failure> {
     let found = config::find_key(word);
     if found.is_empty() {
         let near = config::nearest_keys(word);
-        let advice = match near.is_empty() {
-            true => {
-                let paths: Vec<_> = config::presets().iter().map(|preset| preset.path).collect();
-                format!("there are the presets {}", paths.join(", "))
-            }
-            false => format!("did you mean {}?", near.join(", ")),
+        let paths: Vec<_> = config::presets().iter().map(|preset| preset.path).collect();
+        let names = paths.iter().filter_map(|path| Path::new(path).file_stem()?.to_str());
+        let advice = match (near.is_empty(), config::nearest(word, names)) {
+            (true, Some(name)) => format!("did you mean {name}?"),
+            (true, None) => format!("there are the presets {}", paths.join(", ")),
+            (false, _) => format!("did you mean {}?", near.join(", ")),
         };
         return Err(Failure::User(format!(
             "no preset's path contains {word:?}, and no key has this name; {advice}"

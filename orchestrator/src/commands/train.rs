@@ -75,6 +75,9 @@ fn resolved_before(folder: &Path, services: Services) -> Result<(RunConfig, Laun
     Ok((config, launch))
 }
 
+/// The distance from the path within which sets stay that are driven after they were simulated.
+const WITHIN: &str = "tuner.settings.within_m";
+
 /// The configuration of a training, from its options.
 ///
 /// # Errors
@@ -93,7 +96,12 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
             let why = "--within: keeps to sets that were simulated first; add --simulate-first N";
             return Err(Failure::User(why.to_owned()));
         }
-        layers.put("--within", "tuner.settings.within_m", within_m)?;
+        layers.put("--within", WITHIN, within_m)?;
+    } else if tuner == Some(SIMULATE_FIRST) && !layers.is_set(WITHIN) {
+        // A small car is stopped before it is a metre off: there, a metre would let every set pass.
+        let config = layers.clone().resolve()?;
+        let within_m = config.path_distance_limit_m().min(config.tuner.settings.number("within_m"));
+        layers.put("--simulate-first", WITHIN, within_m)?;
     }
     if let Some(alphas) = &args.alphas {
         layers.put("--alphas", "run.alphas", alphas.clone())?;

@@ -11,7 +11,7 @@ use runtime::clock::now_ns;
 use runtime::log_file::is_cut;
 
 use crate::pipeline::plan::Plan;
-use crate::pipeline::process::{Process, Program, describe, last_lines};
+use crate::pipeline::process::{Process, Program, before_backtrace, describe, last_lines};
 use crate::pipeline::restart::{Budget, RestartPolicy};
 use crate::pipeline::ring::Ring;
 use crate::pipeline::vitals::Vitals;
@@ -314,7 +314,7 @@ impl Member {
     }
 
     pub(crate) fn given_up(&self, why: &str) -> Failure {
-        let lines = last_lines(&self.log, 5);
+        let lines = before_backtrace(last_lines(&self.log, 60), 5);
         let said = if lines.is_empty() { "nothing".to_owned() } else { lines.join(" | ") };
         Failure::GaveUp(format!(
             "gave up: the {} {why}, too often in too short a time; its last words: {said}; \

@@ -300,7 +300,31 @@ pub fn last_lines(log: &Path, count: usize) -> Vec<String> {
         .collect()
 }
 
+/// The last lines that say something: those before the backtrace of a program that ended by an error, which stands behind
+/// what happened.
+pub fn before_backtrace(mut lines: Vec<String>, count: usize) -> Vec<String> {
+    let is_heading = |line: &String| line.trim().eq_ignore_ascii_case("stack backtrace:");
+    if let Some(at) = lines.iter().rposition(is_heading) {
+        lines.truncate(at);
+        lines.truncate(lines.iter().rposition(|it| !it.trim().is_empty()).map_or(0, |it| it + 1));
+    }
+    lines.split_off(lines.len().saturating_sub(count))
+}
+
 /// How many bytes at the end of a log are read.
 const LOG_END: u64 = 64 << 10;
 /// How many characters of each line of a log are shown.
 const LINE_LENGTH: usize = 400;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn last_words_are_what_happened_and_not_a_backtrace() {
+        let lines = |text: &str| text.lines().map(str::to_owned).collect::<Vec<_>>();
+        let said = "first\nError: unknown field\n\nStack backtrace:\n   0: main\n   1: _start";
+        assert_eq!(before_backtrace(lines(said), 1), ["Error: unknown field"]);
+        assert_eq!(before_backtrace(lines("one\ntwo\nthree"), 2), ["two", "three"]);
+    }
+}

@@ -89,12 +89,15 @@ pub(super) fn print(
     }
     baselines::print(it, config)?;
     match &it.plants {
-        Some(check) => plants::print(check, config)?,
-        // What it does on plants is told below.
-        None if it.simulated_first.is_some() => {}
-        None => say!(
-            "not driven on plants like this car: only our simulator can be one, so whether the set is fragile is not known"
-        ),
+        Some(check) => {
+            if it.vehicle_drives.is_some() {
+                say!(
+                    "\nin our simulator, with the vehicle as its file has it, and not the vehicle itself:"
+                );
+            }
+            plants::print(check, config)?;
+        }
+        None => {}
     }
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");
@@ -140,8 +143,12 @@ pub(super) fn print(
         0 => String::new(),
         count => format!(", {count} more for this table"),
     };
+    let (what, on_plants) = match config.plants() {
+        ..2 => ("drives", String::new()),
+        plants => ("sets", format!(" on {plants} plants each")),
+    };
     say!(
-        "{} drives asked for{beside}, {} driven{for_table}, {} again after a crash; the grid holds {}",
+        "{} {what} asked for{beside}, {} driven{on_plants}{for_table}, {} again after a crash; the grid holds {}",
         drives.asked,
         drives.driven,
         run.drives.reissued,

@@ -4,6 +4,8 @@
 //! v·tan(δ)/L with the L of their own file. A fit to that returns this L, and no dead time, all with tiny intervals. Such a
 //! yaw rate follows the command without any lag and without noise; a car has both.
 
+use nalgebra::{Matrix6, Vector6};
+
 use crate::drive::Stretch;
 use crate::levenberg::median;
 use crate::steering::rate_of_heading;
@@ -21,6 +23,8 @@ const MOVING_MPS: f64 = 0.5;
 pub(crate) enum Computed {
     /// It is v·tan(command)/L.
     FromCommand { wheelbase_m: f64 },
+    /// It is another function of the command alone, as with a servo's gain and trim.
+    OfCommand,
     /// It is 0 while the car steers.
     Zero,
 }
@@ -82,14 +86,89 @@ pub(crate) fn computed(stretches: &[Stretch]) -> Option<Computed> {
     let grain = steps.fold(f64::INFINITY, f64::min);
     let grain = if grain.is_finite() { grain } else { 0.0 };
     let (left, lag_s, wheelbase_m) = best;
-    let is_formula = lag_s < LAG_S && left < (ROUNDINGS * grain).max(SHARE * rms(&moving));
-    is_formula.then_some(Computed::FromCommand { wheelbase_m })
+    let most = (ROUNDINGS * grain).max(SHARE * rms(&moving));
+    if lag_s < LAG_S && left < most {
+        return Some(Computed::FromCommand { wheelbase_m });
+    }
+    let is_function = (0..5).any(|ticks| {
+        let commands: Vec<f64> =
+            (0..commands.len()).map(|at| commands[at.saturating_sub(ticks)]).collect();
+        function_left(&commands, &rates, &longest.speed_mps, &moving).is_some_and(|it| it < most)
+    });
+    is_function.then_some(Computed::OfCommand)
+}
+
+/// What the best polynomial of the command leaves of the yaw rate while the command changes: a median. `None` if it hardly
+/// ever does: at rest, wheels with a lag are where a function of the command would have them.
+fn function_left(
+    commands: &[f64],
+    rates: &[f64],
+    speed_mps: &[f64],
+    moving: &[usize],
+) -> Option<f64> {
+    const CHANGED_RAD: f64 = 0.01;
+    const WITHIN: usize = 3;
+    const LEAST: usize = 50;
+    // Powers of about 1 at most.
+    let powers = |at: usize| {
+        let x = commands[at] / 0.5;
+        Vector6::new(1.0, x, x.powi(2), x.powi(3), x.powi(4), x.powi(5))
+    };
+    let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
+    for &at in moving {
+        let powers = powers(at);
+        normal += powers * powers.transpose();
+        right += powers * (rates[at] / speed_mps[at]);
+    }
+    let weights = (normal + Matrix6::identity() * 1e-9).cholesky()?.solve(&right);
+    let changes = |at: &&usize| {
+        let before = commands[at.saturating_sub(WITHIN)];
+        (commands[**at] - before).abs() > CHANGED_RAD
+    };
+    let mut left: Vec<f64> = moving
+        .iter()
+        .filter(changes)
+        .map(|&at| (rates[at] - speed_mps[at] * powers(at).dot(&weights)).abs())
+        .collect();
+    (left.len() >= LEAST).then(|| median(&mut left))
+}
+
+/// Whether the measured speed is the commanded one: no car follows a changing command without delay.
+pub(crate) fn speed_is_commanded(stretches: &[Stretch]) -> bool {
+    const CHANGED_MPS: f64 = 0.05;
+    const SHARE_OF_CHANGE: f64 = 0.02;
+    const SHARE_OF_SAMPLES: f64 = 0.9;
+    const WITHIN: usize = 5;
+    const LEAST: usize = 20;
+    let (mut all, mut alike) = (0, 0);
+    for stretch in stretches {
+        let commanded: Vec<f64> =
+            stretch.time_s.iter().map(|time| command_of(stretch, *time).1).collect();
+        for at in WITHIN..stretch.len() {
+            let change = (commanded[at] - commanded[at - WITHIN]).abs();
+            if change > CHANGED_MPS {
+                let is_alike = |before: usize| {
+                    (stretch.speed_mps[at] - commanded[at - before]).abs()
+                        <= SHARE_OF_CHANGE * change
+                };
+                all += 1;
+                alike += usize::from((0..3).any(is_alike));
+            }
+        }
+    }
+    all >= LEAST && f64::from(alike as u32) >= SHARE_OF_SAMPLES * f64::from(all as u32)
 }
 
 /// The steering command that was held at a time.
 fn command_at(stretch: &Stretch, time_s: f64) -> f64 {
+    command_of(stretch, time_s).0
+}
+
+/// The commanded steering angle and speed that were held at a time.
+fn command_of(stretch: &Stretch, time_s: f64) -> (f64, f64) {
     let next = stretch.commands.partition_point(|it| it.time_s <= time_s + 1e-9);
-    next.checked_sub(1).map_or(0.0, |at| stretch.commands[at].steering_rad)
+    let held = next.checked_sub(1).map(|at| stretch.commands[at]);
+    held.map_or((0.0, 0.0), |it| (it.steering_rad, it.speed_mps))
 }
 
 /// How well the yaw rate follows the commands: the correlation of largest size over some delays. Rates beyond those of nine

@@ -4,7 +4,7 @@ use config::{Vehicle, VehicleModel};
 use serde::Serialize;
 
 use crate::compared::{Compared, compared};
-use crate::computed::{Computed, computed, follows};
+use crate::computed::{Computed, computed, follows, speed_is_commanded};
 use crate::drive::{Drive, STANDING_MPS, Stretch, choose, stretches};
 use crate::fit::{Fitted, fit_speed, fit_steering, refit};
 use crate::levenberg::{median, white_noise_sd};
@@ -173,6 +173,7 @@ pub fn identify(
         Some(Computed::FromCommand { wheelbase_m }) if !options.is_simulated => {
             return Err(Refusal::Computed { wheelbase_m });
         }
+        Some(Computed::OfCommand) if !options.is_simulated => return Err(Refusal::OfCommand),
         _ => {}
     }
     let correlation = follows(&chosen);
@@ -196,10 +197,11 @@ pub fn identify(
     let mut rows = steering_rows(&of_steering, vehicle, point_m, options);
     rows.extend(slip);
     point_with_slip(&mut rows, of_slip.flatten());
-    rows.extend(speed_rows(&of_speed, vehicle));
+    let is_commanded = !options.is_simulated && speed_is_commanded(&chosen);
+    rows.extend(speed_rows(&of_speed, vehicle, is_commanded));
     let new = apply(vehicle, &rows, options);
 
-    let predictions = predict(&chosen, vehicle, options, &of_speed, &of_steering);
+    let predictions = predict(&chosen, vehicle, options, (&of_speed, is_commanded), &of_steering);
     let has_yaw_rate =
         chosen.iter().all(|it| it.yaw_rate_radps.iter().all(|rate| rate.is_finite()));
     let measured = |of: f64| has_yaw_rate.then_some(of);
@@ -237,6 +239,13 @@ pub fn identify(
         rows,
     };
     found.warnings = warnings(&found, &of_steering);
+    if is_commanded {
+        found.warnings.push(
+            "the measured speed follows the commanded one without any lag, computed and not measured: nothing is told of the \
+             speed loop; give the speed of the wheels, or of a localised pose"
+                .to_owned(),
+        );
+    }
     found.warnings.extend(beyond_limits(&chosen, most_rad, vehicle));
     found.warnings.extend(wrong_unit(&chosen));
     found.drive_next = drive_next(&found.rows);
@@ -282,7 +291,8 @@ fn drive_next(rows: &[Row]) -> Vec<String> {
     // Steps of the speed tell its dead time and its gain first. Where they did, more of them would tell no more.
     let has_steps = is_told("speed_delay_s") && is_told("speed_kp");
     let mut next: Vec<String> = Vec::new();
-    for row in rows.iter().filter(|row| !row.identified && !row.agrees) {
+    let is_open = |row: &&Row| !row.identified && !row.agrees && !row.is_as_commanded();
+    for row in rows.iter().filter(is_open) {
         let Some(drive) = row.drive_next() else { continue };
         let was_driven = has_steps && drive == SPEED_STEPS;
         if !was_driven && next.iter().all(|it| it != drive) {
@@ -314,7 +324,7 @@ fn predict(
     stretches: &[Stretch],
     vehicle: &Vehicle,
     options: Options,
-    of_speed: &Fitted,
+    (of_speed, speed_is_commanded): (&Fitted, bool),
     of_steering: &Fitted,
 ) -> Vec<Prediction> {
     let point_m = options.point.of(vehicle);
@@ -330,7 +340,7 @@ fn predict(
         let steering_at = refit(joint, of_steering, &counts);
         let mut rows = steering_rows(&part(of_steering, steering_at), vehicle, point_m, options);
         rows.extend(slip);
-        rows.extend(speed_rows(&part(of_speed, speed_at), vehicle));
+        rows.extend(speed_rows(&part(of_speed, speed_at), vehicle, speed_is_commanded));
         let new = apply(vehicle, &rows, options);
         let (before, after) =
             (Car { vehicle, point_m }, Car { vehicle: &new, point_m: options.point.of(&new) });

@@ -39,6 +39,8 @@ pub enum Refusal {
         /// The wheelbase in the formula.
         wheelbase_m: f64,
     },
+    /// The yaw rate is another function of the command.
+    OfCommand,
     /// The yaw rate is 0 while the car steers.
     NoYawRate,
     /// The car turns to the other side.
@@ -82,6 +84,11 @@ impl fmt::Display for Refusal {
                 "the odometry's yaw rate is v·tan(commanded steering)/{wheelbase_m:.3} m, computed and not measured, so it tells \
                  nothing of the steering (vesc_to_odom does so unless use_servo_cmd_to_calc_angular_velocity is false): give an \
                  IMU's yaw rate or a localised pose; for a simulation without lag and noise, add --simulated"
+            ),
+            Self::OfCommand => f.write_str(
+                "the odometry's yaw rate follows the commanded steering without any lag, computed and not measured, so it tells \
+                 nothing of the steering: give an IMU's yaw rate or a localised pose; for a simulation without lag and noise, add \
+                 --simulated",
             ),
             Self::NoYawRate => f.write_str(
                 "the odometry's yaw rate is 0 while the car steers: its driver does not know the heading; give an IMU's yaw rate \

@@ -34,7 +34,22 @@ pub struct Row {
     pub agrees: bool,
 }
 
+/// Why a key of the speed loop is not told by a speed that is computed.
+const AS_COMMANDED: &str = "the measured speed is the commanded one";
+
 impl Row {
+    /// Keeps the file's value of a key of the speed loop, because the speed was not measured.
+    fn keep_as_commanded(&mut self) {
+        (self.after, self.interval) = (self.before, None);
+        (self.identified, self.roughly, self.agrees) = (false, false, false);
+        (self.only_with, self.why) = (None, Some(AS_COMMANDED.to_owned()));
+    }
+
+    /// Whether [`Row::keep_as_commanded`] keeps it.
+    pub(crate) fn is_as_commanded(&self) -> bool {
+        self.why.as_deref() == Some(AS_COMMANDED)
+    }
+
     /// What to drive so that the key shows.
     pub fn drive_next(&self) -> Option<&'static str> {
         Some(match self.key {
@@ -290,7 +305,7 @@ pub(crate) fn delay_and_lag(fitted: &Fitted, vehicle: &Vehicle) -> Row {
 }
 
 /// The rows of the speed loop.
-pub(crate) fn speed_rows(fitted: &Fitted, vehicle: &Vehicle) -> Vec<Row> {
+pub(crate) fn speed_rows(fitted: &Fitted, vehicle: &Vehicle, is_commanded: bool) -> Vec<Row> {
     use speed::{BRAKE, DELAY, DRAG, KI, KP, PEDAL_LAG, ROLLING, THROTTLE};
     let throttle = row(
         fitted,
@@ -326,7 +341,7 @@ pub(crate) fn speed_rows(fitted: &Fitted, vehicle: &Vehicle) -> Vec<Row> {
         Key { name: "speed_delay_s", before: vehicle.speed_delay_s, of: &[DELAY], is_log: false };
     let mut delay = row(fitted, &delay);
     not_negative(&mut delay);
-    vec![
+    let mut rows = vec![
         delay,
         with_throttle("speed_kp", vehicle.speed_kp, KP, -1.0),
         with_throttle("speed_ki", vehicle.speed_ki, KI, -1.0),
@@ -335,7 +350,11 @@ pub(crate) fn speed_rows(fitted: &Fitted, vehicle: &Vehicle) -> Vec<Row> {
         key("drag_per_s", vehicle.drag_per_s, DRAG),
         key("rolling_decel_mps2", vehicle.rolling_decel_mps2, ROLLING),
         throttle,
-    ]
+    ];
+    if is_commanded {
+        rows.iter_mut().for_each(Row::keep_as_commanded);
+    }
+    rows
 }
 
 #[cfg(test)]

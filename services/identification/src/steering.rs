@@ -52,6 +52,26 @@ const NO_LAG_S: f64 = 0.05;
 /// The chain begins with wheels whose angle is not known, unless the car stood.
 const UNKNOWN_S: f64 = 1.5;
 
+/// The logarithm of the slowest steering rate that is looked for, .02 rad/s; and the quickest one, rad/s.
+const LEAST_LOG_RATE: f64 = -3.912;
+const MOST_RATE_RADPS: f64 = 50.0;
+/// So many steps of the command, at least, tell how quick the wheels are.
+const TELLING_STEPS: usize = 5;
+
+/// A steering rate from which on the wheels keep up with these commands from one sample to the next: a quicker one cannot
+/// show. Single steps, as where a recording begins, do not count.
+fn quickest_radps(stretches: &[Stretch]) -> f64 {
+    let of_stretch = |it: &Stretch| {
+        let tick_s = it.tick_s;
+        let steps = it.commands.windows(2).map(|two| two[1].steering_rad - two[0].steering_rad);
+        steps.map(|step| step.abs() / tick_s).collect::<Vec<f64>>()
+    };
+    let mut rates: Vec<f64> = stretches.iter().flat_map(of_stretch).collect();
+    rates.sort_unstable_by(|a, b| b.total_cmp(a));
+    let rate = rates.get(TELLING_STEPS - 1).copied().unwrap_or(0.0);
+    rate.clamp(2.0 * libm::exp(LEAST_LOG_RATE), MOST_RATE_RADPS)
+}
+
 /// The values of a vehicle's file in the coordinates of the fit.
 pub(crate) fn of_vehicle(vehicle: &Vehicle, point_m: f64) -> [f64; COUNT] {
     let mut at = [0.0; COUNT];
@@ -157,7 +177,7 @@ impl<'a> Steering<'a> {
             axis(WHEELBASE, prior[0] - 2.0, prior[0] + 2.0, 0.7, 1e-5, !wheelbase_is_measured),
             axis(DELAY, 0.0, 0.95, 0.3, 1e-4, true),
             axis(LAG, log(0.002), log(3.0), 1.2, 1e-4, true),
-            axis(RATE, log(0.02), log(50.0), 1.2, 1e-4, true),
+            axis(RATE, LEAST_LOG_RATE, log(quickest_radps(stretches)), 1.2, 1e-4, true),
             axis(OFFSET, -0.4, 0.4, 0.1, 1e-6, true),
             axis(GAIN, log(0.1), log(10.0), 0.7, 1e-5, wheelbase_is_measured),
             axis(POINT, -7.0 * length_m, 7.0 * length_m, 0.7 * length_m, 1e-4, with_poses),

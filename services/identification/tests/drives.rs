@@ -52,6 +52,42 @@ fn odometry_that_is_computed_from_the_command_is_refused() {
 }
 
 #[test]
+fn a_yaw_rate_computed_with_a_servo_s_gain_and_trim_is_refused_as_well() {
+    let (car, file, mut dice) = car();
+    let mut computed = excite(&car, &SENSORS, &mut dice);
+    let mut yaw_rad = 0.0;
+    for at in 1..computed.odometry.len() {
+        let command = computed.commands[at - 1].steering_rad;
+        let seen = &mut computed.odometry[at];
+        let rate = seen.speed_mps * libm::tan(0.9 * command + 0.02) / 0.3;
+        seen.yaw_rate_radps = (1e5 * rate).round() / 1e5;
+        yaw_rad += 0.01 * rate;
+        seen.yaw_rad = yaw_rad;
+    }
+    assert_eq!(refusal(computed, &file), Refusal::OfCommand);
+}
+
+#[test]
+fn a_speed_that_is_the_commanded_one_tells_nothing_of_the_speed_loop() {
+    let (car, file, mut dice) = car();
+    let measured = excite(&car, &SENSORS, &mut dice);
+    let found = identify(std::slice::from_ref(&measured), &file, Options::default()).unwrap();
+    let of_loop = |row: &&identification::Row| row.key == "speed_kp";
+    assert!(found.rows.iter().find(of_loop).unwrap().identified);
+    let mut computed = measured;
+    for at in 1..computed.odometry.len() {
+        computed.odometry[at].speed_mps = computed.commands[at - 1].speed_mps;
+    }
+    let found = identify(&[computed], &file, Options::default()).unwrap();
+    let speed_loop = ["speed_delay_s", "speed_kp", "speed_ki", "brake_decel_mps2", "pedal_lag_s"];
+    for row in found.rows.iter().filter(|row| speed_loop.contains(&row.key)) {
+        assert!(!row.identified && row.after == row.before, "{row:?}");
+    }
+    assert_eq!(found.vehicle.speed_kp, file.speed_kp);
+    assert!(found.warnings.iter().any(|it| it.contains("commanded one")), "{:?}", found.warnings);
+}
+
+#[test]
 fn noise_of_the_heading_is_told_by_its_standard_deviation_whatever_it_is_like() {
     let (car, file, mut dice) = car();
     let sensors = Sensors { heading_sd_rad: 0.0, ..SENSORS };

@@ -184,6 +184,11 @@ impl Unpacker {
                     .map_err(|_| "a chunk cannot be unpacked")?;
                 &self.chunk
             }
+            "lz4" => {
+                return Err(
+                    "a chunk is packed with lz4, which is not read here; write the file anew with zstd, as `mcap compress --compression zstd` does",
+                );
+            }
             _ => return Err("a chunk is packed in a way that is not known here; only zstd is"),
         };
         if records.len() as u64 != size {

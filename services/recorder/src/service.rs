@@ -101,7 +101,7 @@ pub(crate) fn settings(
     Settings {
         files,
         tick_s: config.drive.tick_s,
-        path: tracking::Path::new(&config.path),
+        path: config.law.follows_path.then(|| tracking::Path::new(&config.path)),
         wall,
         by_the_clock: config.run.realtime,
         beginning,

@@ -41,8 +41,8 @@ pub(crate) struct Settings {
     /// The first file; further ones are numbered.
     pub(crate) files: Files,
     pub(crate) tick_s: f64,
-    /// The path that is driven.
-    pub(crate) path: tracking::Path,
+    /// The path that is driven; `None` if the vehicle follows none.
+    pub(crate) path: Option<tracking::Path>,
     pub(crate) wall: WallClock,
     /// The run is to be driven in real time.
     pub(crate) by_the_clock: bool,
@@ -244,8 +244,10 @@ impl Reel {
             let id = self.writer.add_channel(schema, &topic.channel(), "cdr", &metadata)?;
             self.own.push((id, 0));
         }
+        if self.teller.follows_path() {
+            self.ros_channel("/path", Kind::Path)?;
+        }
         for (topic, kind) in [
-            ("/path", Kind::Path),
             ("/tf", Kind::TfMessage),
             ("/odom", Kind::Odometry),
             ("/truth", Kind::Odometry),

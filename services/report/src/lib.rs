@@ -91,15 +91,22 @@ pub fn write_certified(folder: &Path, gains: &CertifiedGains) -> Result<PathBuf,
     write_pages(folder, &html, &pictures)
 }
 
-/// Writes a page and its pictures into a folder, and removes pictures that it does not have.
-fn write_pages(folder: &Path, html: &str, pictures: &[Picture]) -> Result<PathBuf, ReportError> {
+/// Makes the folder of a page, before what takes long to compute.
+///
+/// # Errors
+/// If it is not a folder, or cannot be made.
+pub fn make_folder(folder: &Path) -> Result<(), ReportError> {
+    let failed = |problem| ReportError::Write { path: folder.to_owned(), problem };
     if fs::symlink_metadata(folder).is_ok_and(|meta| !meta.is_dir()) {
         // Pictures would be written, and others removed, wherever a link points to.
-        let problem = io::Error::other("is not a folder; remove it");
-        return Err(ReportError::Write { path: folder.to_owned(), problem });
+        return Err(failed(io::Error::other("is not a folder; name another one")));
     }
-    fs::create_dir_all(folder)
-        .map_err(|problem| ReportError::Write { path: folder.to_owned(), problem })?;
+    fs::create_dir_all(folder).map_err(failed)
+}
+
+/// Writes a page and its pictures into a folder, and removes pictures that it does not have.
+fn write_pages(folder: &Path, html: &str, pictures: &[Picture]) -> Result<PathBuf, ReportError> {
+    make_folder(folder)?;
     for picture in pictures {
         replace(&folder.join(format!("{}.svg", picture.name)), &picture.svg)?;
     }

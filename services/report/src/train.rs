@@ -43,7 +43,11 @@ pub(crate) fn sections(
         page.section("Beside textbook sets", baselines::section(beside, train, config));
     }
     if let Some(check) = &train.plants {
-        page.section("On plants like this car", plants::section(check, config));
+        let title = match train.vehicle_drives {
+            None => "On plants like this car",
+            Some(_) => "On plants like this car, in our simulator",
+        };
+        page.section(title, plants::section(check, config));
     }
     if let Some(curve) = &train.trade_off {
         let body = baselines::curve(page, curve, train, config)?;
@@ -167,7 +171,9 @@ fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
                 "where it is known) to the nearest point of the path, as its mean, its 95th percentile and its largest value."
             }
             li {
-                (integer(drives.asked)) " drives asked for, " (integer(drives.driven)) " driven, "
+                (integer(drives.asked)) @if config.plants() > 1 { " sets" } @else { " drives" } " asked for, "
+                (integer(drives.driven)) " driven"
+                @if config.plants() > 1 { " on " (integer(config.plants() as u64)) " plants each" } ", "
                 (integer(run.drives.reissued)) " again after a crash"
                 @if drives.for_table > 0 { ", " (integer(drives.for_table)) " more for the table" }
                 @if let Some(grid) = &train.grid { "; the grid holds " (integer(grid.size as u64)) }

@@ -51,9 +51,10 @@ fn distance(train: &TrainResult) -> String {
     };
     match &train.plants {
         Some(check) => format!(
-            "{nominal}; {} m on average in the worst of {} plants that were drawn anew{}.",
+            "{nominal}; {} m on average in the worst of {} plants that were drawn anew{}{}.",
             number(check.fresh.path_mean_max_m, 3),
             check.fresh.plants,
+            if train.vehicle_drives.is_some() { ", in our simulator" } else { "" },
             match check.fresh.not_arrived {
                 0 => String::new(),
                 missed => format!(", on {missed} of which it does not arrive"),
@@ -93,7 +94,7 @@ fn robust(train: &TrainResult) -> String {
                 it.fresh.beyond,
                 it.fresh.not_arrived
             ),
-            None => "not known; only our simulator can be such a car.".to_owned(),
+            None => "not known.".to_owned(),
         },
         Some(check) => match &check.fragile {
             Some(why) => format!("fragile; {why}."),

@@ -32,10 +32,10 @@ pub(crate) use messages::{ENCAPSULATION, Kind, RosMessage};
 /// How many slots of a fleet are written as ROS messages; our own channels contain all slots.
 pub const SLOTS: usize = 8;
 
-/// The path, and the earlier messages on which a ROS message depends.
+/// The path, if the vehicle follows one, and the earlier messages on which a ROS message depends.
 #[derive(Debug)]
 pub(crate) struct Teller {
-    path: Path,
+    path: Option<Path>,
     /// Whether the file has the path already.
     is_path_told: bool,
     ended: [bool; SLOTS],
@@ -43,8 +43,13 @@ pub(crate) struct Teller {
 }
 
 impl Teller {
-    pub(crate) fn new(path: Path) -> Self {
+    pub(crate) fn new(path: Option<Path>) -> Self {
         Self { path, is_path_told: false, ended: [false; SLOTS], gate: [0; SLOTS] }
+    }
+
+    /// Whether there is a path to tell.
+    pub(crate) fn follows_path(&self) -> bool {
+        self.path.is_some()
     }
 
     /// Another file begins.
@@ -158,11 +163,12 @@ impl Teller {
         ];
         let level = if again { WARN } else { OK };
         let mut told = vec![diagnostic(stamp_ns, level, "batch", what.to_owned(), 0, values)];
-        if !std::mem::replace(&mut self.is_path_told, true) {
+        let is_told = std::mem::replace(&mut self.is_path_told, true);
+        if let Some(followed) = self.path.as_ref().filter(|_| !is_told) {
             told.push(RosMessage {
                 topic: "/path".to_owned(),
                 kind: Kind::Path,
-                cdr: path(stamp_ns, &self.path),
+                cdr: path(stamp_ns, followed),
             });
         }
         told
