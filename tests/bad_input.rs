@@ -43,6 +43,17 @@ fn mistakes_in_options() {
         &["drive.tick_s", "[0.001, 0.1]"],
     );
     check(&sandbox, &["lane_change", "--config", "none.toml"], &["none.toml"]);
+    let weighted = ["lane_change", "--objective", "weighted", "--set"];
+    let of = |weights: &'static str| [&weighted[..], &[weights]].concat();
+    let negative = of("objective.settings.path_weight=-1");
+    check(&sandbox, &negative, &["objective.settings.path_weight", "-1", "[0, "]);
+    let none = [
+        &of("objective.settings.path_weight=0")[..],
+        &["--set", "objective.settings.mse_weight=0"],
+    ];
+    check(&sandbox, &none.concat(), &["objective.settings", "all 0"]);
+    let best = ["lane_change", "--tuner", "cem", "--set", "tuner.settings.best=30"];
+    check(&sandbox, &best, &["tuner.settings.best", "30", "tuner.settings.population = 10"]);
     check(
         &sandbox,
         &["lane_change", "--replace", "vehicle=/no/such/program --fast"],

@@ -62,6 +62,12 @@ fn laws_are_compared_beside_their_textbook_parameters() {
     let alone = ["compare", "smooth_lane", "--law", "stanley", "--tuners", "sobol", "--json"];
     let alone = stdout(&sandbox, &[&alone[..], &["--seeds", "2", "--drives", "6"]].concat());
     assert_eq!(laws[0], serde_json::from_str::<Value>(&alone).unwrap());
+    std::fs::write(sandbox.path("file"), "").unwrap();
+    let output = sandbox.run(&[&args[..], &["--report", "file"]].concat());
+    let why = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(64) && why.contains("name another one"), "{why}");
+    // Before the first training.
+    assert!(!why.contains("trainings are over"), "{why}");
     let told = stdout(&sandbox, &[&args[..], &["--report", "page"]].concat());
     assert!(told.contains("smooth_lane, tesla_model_3_guarded, by path:"), "{told}");
     let page = sandbox.text("page/index.html");

@@ -231,6 +231,18 @@ fn the_excitation_is_driven_and_names_the_command_that_identifies() {
     let output = sandbox.run(&args);
     assert!(output.status.success(), "{}", stderr(&output));
     assert!(stderr(&output).contains("the wheels turn by 0.419 rad at most: steps of 0.18"));
+    // The supervisor lets commands change no faster than the wheels turn: so no drive shows that they turn faster.
+    let args = ["identify", "small/recording.mcap", "--vehicle", "small.toml", "--json"];
+    let found = sandbox.run(&args);
+    let found: serde_json::Value = serde_json::from_slice(&found.stdout).unwrap();
+    let mut rows = found["identification"]["rows"].as_array().unwrap().iter();
+    let rate = rows.find(|row| row["key"] == "steering_rate_radps").unwrap();
+    assert_eq!((&rate["identified"], &rate["after"]), (&false.into(), &3.2.into()), "{rate}");
+    // What follows no path has none to be driven, but the way that it took.
+    let args = ["train", "--path", "small/recording.mcap", "--vehicle", "small.toml"];
+    let output = sandbox.run(&args);
+    assert_eq!(output.status.code(), Some(64));
+    assert!(stderr(&output).contains("/odom") && !stderr(&output).contains("/path,"));
     // A wheel turns no further than it can.
     let output = sandbox.run(&["excite", "--vehicle", "true.toml", "--steering", "0.6"]);
     assert_eq!(output.status.code(), Some(64));

@@ -239,6 +239,20 @@ mod tests {
     }
 
     #[test]
+    fn slips_in_a_file_are_told_with_what_is_right() {
+        for (line, parts) in [
+            ("base = f1tenth", ["car.toml:1", "in quotes"]),
+            ("wheelbase_m = 0,33", ["car.toml:1", "has a point"]),
+            ("wheelbase_m = .33", ["car.toml:1", "begins with a digit"]),
+            ("jerk_limit_mps3 = 5.0", ["car.toml:1", "did you mean safety.jerk_limit_mps3?"]),
+            ("safety.speed_limit_mps = 5.0", ["car.toml:1", "did you mean speed_limit_mps?"]),
+        ] {
+            let told = with_vehicle(line).unwrap_err().to_string();
+            assert!(parts.iter().all(|part| told.contains(part)), "{line}: {told}");
+        }
+    }
+
+    #[test]
     fn a_steering_rate_that_may_be_in_degrees_is_doubted() {
         for (rate, is_doubted) in [("35", true), ("15", false), ("3.2", false)] {
             let file: Table = format!("steering_rate_radps = {rate}").parse().unwrap();

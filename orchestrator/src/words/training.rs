@@ -88,16 +88,13 @@ pub(super) fn print(
         say!("  no set was found that keeps all limits: it would rank before this one");
     }
     baselines::print(it, config)?;
-    match &it.plants {
-        Some(check) => {
-            if it.vehicle_drives.is_some() {
-                say!(
-                    "\nin our simulator, with the vehicle as its file has it, and not the vehicle itself:"
-                );
-            }
-            plants::print(check, config)?;
+    if let Some(check) = &it.plants {
+        if it.vehicle_drives.is_some() {
+            say!(
+                "\nin our simulator, with the vehicle as its file has it, and not the vehicle itself:"
+            );
         }
-        None => {}
+        plants::print(check, config)?;
     }
     if !it.on_bound.is_empty() {
         let bounds = it.on_bound.join(", ");

@@ -106,7 +106,8 @@ fn lengths_that_cannot_be_are_refused_before_anything_is_reserved() {
     // More than it says, and less.
     damaged(&[chunk(1 << 10, "zstd", &zeros(1 << 20))], "cannot be unpacked");
     damaged(&[chunk(1 << 21, "zstd", &zeros(1 << 20))], "another size");
-    damaged(&[chunk(4, "lz4", b"1234")], "not known here");
+    damaged(&[chunk(4, "lz4", b"1234")], "packed with lz4");
+    damaged(&[chunk(4, "br", b"1234")], "not known here");
     // Zeros are empty records of no kind, so nothing is wrong with them but their number.
     let zeros = chunk(63 << 20, "zstd", &zeros(63 << 20));
     damaged(&vec![zeros; 40], "far more is packed");
