@@ -164,15 +164,16 @@ fn a_pose_that_moves_more_than_the_speed_has_jumped() {
 /// Fast, a vehicle might have come as far as the jump while it lasts; but its odometry has shown how far it came.
 #[test]
 fn a_jump_that_lasts_is_not_believed_in_the_end_and_one_that_goes_back_is_forgotten() {
-    for turned_rad in [0.0, 3.0] {
+    for (heading_rad, turned_rad) in [(0.0, 0.0), (0.0, 3.0), (0.7, 1.1)] {
         // In the frame to which the odometry has jumped, the vehicle may head elsewhere.
         let seen = |tick: u64, has_jumped: bool| {
-            let (x_m, speed_mps) = (0.04 * tick as f64, 4.0);
-            let (sin, cos) = (libm::sin(turned_rad), libm::cos(turned_rad));
-            let pose = match has_jumped {
-                true => Pose { x_m: cos * x_m, y_m: sin * x_m + 1.0, yaw_rad: turned_rad },
-                false => Pose { x_m, ..Pose::default() },
+            let (way_m, speed_mps) = (0.04 * tick as f64, 4.0);
+            let (yaw_rad, y_m) = match has_jumped {
+                true => (heading_rad + turned_rad, 1.0),
+                false => (heading_rad, 0.0),
             };
+            let (sin, cos) = (libm::sin(yaw_rad), libm::cos(yaw_rad));
+            let pose = Pose { x_m: cos * way_m, y_m: sin * way_m + y_m, yaw_rad };
             Movement { pose, speed_mps, yaw_rate_radps: 0.0 }
         };
         let mut it = Plausibility::new(&config(&JUMPS));
@@ -197,6 +198,9 @@ fn a_jump_is_measured_from_where_and_when_the_last_one_was_and_its_limit_is_none
     };
     assert_eq!(fresh().check(51, at(8.5, -4.0, 0.25)), 0);
     assert_eq!(fresh().check(51, at(8.0, -4.5, -0.25)), 0);
+    // The distance counts, and not the sum of both ways.
+    assert_eq!(fresh().check(51, at(8.3, -3.7, 0.0)), 0);
+    assert_eq!(fresh().check(51, at(8.4, -3.6, 0.0)), Safety::ODOMETRY_JUMP);
     assert_eq!(fresh().check(51, at(8.0, -4.0, 0.26)), Safety::ODOMETRY_JUMP);
     // One tick at 1 m/s, not a hundred and one.
     let fast = Movement { speed_mps: 1.0, ..at(8.6, -4.0, 0.0) };
