@@ -286,7 +286,11 @@ impl Layers {
             })?;
         validate::validate(&config).map_err(|(key, problem)| {
             let is_set = origins.contains_key(&key);
-            let whose = borrowed.filter(|_| !is_set).and_then(|it| it.whose(&key));
+            // A turn that is too tight is so by the vehicle's limit, whoever set the path.
+            const LIMIT: &str = "vehicle.steering_limit_rad";
+            let blamed =
+                if problem.contains(LIMIT) { Some(LIMIT) } else { (!is_set).then_some(&*key) };
+            let whose = borrowed.and_then(|it| it.whose(blamed?));
             ConfigError::new(origin_of(&key), key, problem + &whose.unwrap_or_default())
         })?;
         if let Some(borrowed) = keys_borrowed {
@@ -320,20 +324,9 @@ impl Layers {
         self.notes.extend(notes);
     }
 
-    /// Whether the user has set a key: by an option, or in a file that is no preset.
+    /// Whether the user has set a key, by an option or in a file.
     pub fn is_set(&self, key: &str) -> bool {
         self.origins.contains_key(key)
-    }
-
-    /// An error about a turn that the vehicle cannot drive, with what its file leaves out.
-    pub(crate) fn with_whose(&self, mut error: ConfigError) -> ConfigError {
-        let borrowed =
-            self.borrowed.clone().filter(|_| error.problem.contains("the vehicle's least"));
-        let whose = borrowed.and_then(|it| it.whose("vehicle.steering_limit_rad"));
-        error.problem += &whose
-            .unwrap_or_default()
-            .replace("leaves it out, so it is", "leaves steering_limit_rad out, so it is");
-        error
     }
 
     /// The vehicle of the layers so far, if its keys are those of one.

@@ -113,8 +113,7 @@ impl Layers {
             .fold(f64::INFINITY, f64::min);
         let reference_mps = self.number("reference.speed_mps");
         let below = Below { vehicle: vehicle.as_ref(), reference_mps, most_mps };
-        let mut path =
-            make(&origin, &mut given, below, options).map_err(|error| self.with_whose(error))?;
+        let mut path = make(&origin, &mut given, below, options)?;
         if let Some(start) = start {
             refuse_zones_with_start(file)?;
             let [x_m, y_m] = given.origin;

@@ -110,7 +110,7 @@ impl Borrowed {
         let Self { file, keys } = self;
         keys.iter().any(|it| it == name).then(|| {
             format!(
-                " ({file} leaves it out, so it is that of {DEFAULT}: name it, or the preset whose values are right, as in \
+                " ({file} leaves {name} out, so it is that of {DEFAULT}: name it, or the preset whose values are right, as in \
                  {BASE} = \"f1tenth\")"
             )
         })

@@ -44,7 +44,8 @@ pub struct TrainResult {
     pub plain_q: Option<Beside>,
     /// The same training by a random walk, on drives of the grid; null if the grid was not driven.
     pub random_walk: Option<Beside>,
-    /// The set on plausible plants; null where another vehicle than our simulator drove.
+    /// The set on plausible plants, in our simulator whatever vehicle drove; null in results of earlier versions with a
+    /// vehicle of the user's.
     #[serde(default)]
     pub plants: Option<PlantCheck>,
     /// The textbook sets beside it; null where path and car are the paper's, whose figures are the yardstick there, and

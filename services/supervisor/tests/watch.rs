@@ -225,8 +225,8 @@ fn each_of_some_faults_stops_at_once() {
 
 #[test]
 fn what_comes_late_is_forgiven_sooner_than_what_is_wrong() {
-    // A tenth of a second with the fault, and then without it until it is forgotten: by then a new one may last as long as
-    // the first one might have.
+    // A tenth of a second with the fault, and some ticks without it: how long a new one may last by then. After 14 healthy
+    // ticks what came late is forgotten, and of what was wrong most still counts.
     let degraded_limit_s = config(&[]).vehicle.safety.degraded_limit_s;
     let lasts_after = |fault: u32, healthy: usize| {
         let mut guard = Guard::new(&config(&[]));
