@@ -7,6 +7,7 @@ use crate::identify;
 use config::{Parameters, RunConfig};
 use monitor::MonitorError;
 use orchestrator::cli::{CompareArgs, MonitorArgs, RecordArgs, ReplayArgs};
+use orchestrator::commands::CompareProgress;
 use orchestrator::runs::{LivingRun, known_of_car, living_run};
 use orchestrator::words::{Failure, print_line};
 use orchestrator::{ExciteTools, Services, StudyTools, Tools, commands};
@@ -53,13 +54,18 @@ fn compare(args: &CompareArgs) -> Result<(), Failure> {
     let mut laws = Vec::new();
     let failed = |why: report::ReportError| Failure::User(why.to_string());
     let studies = commands::compare_configs(args)?;
+    for configs in &studies {
+        trainer::compare::check_grid(&configs[0]).map_err(Failure::User)?;
+    }
     if let Some(folder) = &args.report {
         report::make_folder(folder).map_err(failed)?;
     }
     for configs in studies {
-        let tell = |tuner: &str, done| {
-            if done == seeds {
-                commands::tell_compared(args, &configs[0].law.name, tuner);
+        let mut progress = CompareProgress::new(args, &configs[0].law.name);
+        let tell = |what: trainer::compare::Progress<'_>| match what {
+            trainer::compare::Progress::Grid { done, all } => progress.tell_grid(done, all),
+            trainer::compare::Progress::Trainings { tuner, done } => {
+                progress.tell_trainings(tuner, done);
             }
         };
         let compared = trainer::compare::compare(&configs, seeds, args.drives, tell);

@@ -86,6 +86,11 @@ fn mistakes_of_the_command_line_itself_have_the_same_code() {
         assert_eq!(output.status.code(), Some(64), "{args:?}: {stderr}");
         assert_eq!(stderr.lines().count(), 1, "{args:?}: {stderr}");
     }
+    // A negative number is the value of its option, which is named.
+    let negative = sandbox.run(&["train", "lane_change", "--drives", "-1"]);
+    let stderr = String::from_utf8(negative.stderr).unwrap();
+    assert_eq!(negative.status.code(), Some(64), "{stderr}");
+    assert!(stderr.contains("'-1' for '--drives"), "{stderr}");
     assert_eq!(sandbox.run(&[]).status.code(), Some(64));
     let resumed = sandbox.run(&["train", "--resume", "nowhere"]);
     let stderr = String::from_utf8(resumed.stderr).unwrap();
@@ -108,6 +113,9 @@ fn mistakes_in_files() {
     file("[grid]\nkv = []", &["my.toml:2", "kv"]);
     file("seed = [", &["my.toml:1"]);
     file("\u{0}\u{1}", &["my.toml:1"]);
+    let plants = "[[plants]]\nname = 'late'\n[[plants]]\nadd = { steering_delay_s = 0.2 }\n";
+    fs::write(sandbox.path("plants.toml"), plants).unwrap();
+    check(&sandbox, &["lane_change", "--over", "plants.toml"], &["plants.toml:3", "`name`"]);
     let launch = |text: &str, parts: &[&str]| {
         fs::write(sandbox.path("launch.toml"), text).unwrap();
         check(&sandbox, &["lane_change", "--launch", "launch.toml"], parts);
@@ -264,6 +272,9 @@ fn presets_are_shown_and_written() {
     assert_eq!(typo.status.code(), Some(64));
     let told = String::from_utf8(typo.stderr).unwrap();
     assert!(told.contains("did you mean drive.goal_radius_m"), "{told}");
+    let typo = sandbox.run(&["config", "show", "f1tenht"]);
+    let told = String::from_utf8(typo.stderr).unwrap();
+    assert!(typo.status.code() == Some(64) && told.contains("did you mean f1tenth"), "{told}");
     assert!(sandbox.run(&["config", "init", "mine"]).status.success());
     assert!(sandbox.path("mine/maneuvers/lane_change.toml").exists());
     assert!(

@@ -29,6 +29,13 @@ fn tuners_are_compared_with_the_same_bytes_each_time() {
     assert_eq!(names, ["gp", "random", "q"]);
     assert_eq!(result["tuners"][0]["after"][1]["drives"], 12);
 
+    // A setting is for those that have it; the others train as before.
+    let set = ["--json", "--set", "tuner.settings.first=5"];
+    let other: Value =
+        serde_json::from_str(&stdout(&sandbox, &[&args[..], &set].concat())).unwrap();
+    assert_ne!(other["tuners"][0], result["tuners"][0]);
+    assert_eq!(other["tuners"][1], result["tuners"][1]);
+
     // The best set of the grid is that of `pathtune grid`.
     let best = result["best_value"].as_f64().unwrap();
     let grid = sandbox.json("grid", &["grid", "lane_change", "--quiet"]);
@@ -94,7 +101,12 @@ fn what_cannot_be_compared_is_told_in_a_line() {
             &["lane_change", "--tuners", "gp", "--set", "tuner.settings.first=2.5"],
             "tuner.settings.first",
         ),
+        (
+            &["lane_change", "--tuners", "gp", "--set", "tuner.settings.frist=3"],
+            "none of the tuners gp, random has it",
+        ),
         (&["lane_change", "--laws", "stanley,stanley"], "names stanley twice"),
+        (&["lane_change", "--laws", "paper,foo"], "--laws foo"),
         (&["lane_change", "--laws", "stanly"], "did you mean stanley"),
         (&[], "name a manoeuvre"),
     ] {

@@ -185,6 +185,8 @@ fn odometry_that_repeats_the_command_and_files_that_are_no_drive_are_refused() {
     refused(&sandbox, &["computed.csv", "--write"], &parts);
     write_drive(&sandbox, "blind.csv", |_, _, _| 0.0);
     refused(&sandbox, &["blind.csv", "--write"], &["yaw rate is 0 while the car steers"]);
+    let of_bags = ["blind.csv", "--odometry", "/odom"];
+    refused(&sandbox, &of_bags, &["blind.csv: is no bag", "--odometry"]);
     fs::write(sandbox.path("half.csv"), "t_s,x_m\n0,1\n").unwrap();
     refused(&sandbox, &["half.csv"], &["half.csv", "no column y_m"]);
     refused(&sandbox, &["nothing.csv"], &["nothing.csv", "No such file"]);
@@ -361,6 +363,9 @@ fn a_recording_of_ours_is_read_as_such_and_as_the_bag_that_it_also_is() {
     let wrong = ["identify", "out/recording.mcap", "--vehicle", "car.toml", "--odometry", "/odo"];
     let said = stderr(&sandbox.run(&wrong));
     assert!(said.contains("has no odometry on /odo") && said.contains("/odom"), "{said}");
+    let other = ["out/recording.mcap", "--odometry", "/odom", "--command", "/cmd"];
+    let other = [&other[..], &["--command-type", "twist"]].concat();
+    refused(&sandbox, &other, &["--command-type", "by the bag's own word"]);
     // Whatever is missing in what is left of a recording, the line names the reason.
     let whole = fs::read(sandbox.path("out/recording.mcap")).unwrap();
     fs::write(sandbox.path("cut.mcap"), &whole[..whole.len() / 8]).unwrap();

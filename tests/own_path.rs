@@ -216,6 +216,13 @@ fn each_mistake_in_a_path_has_one_line() {
         })
         .collect();
     check(&format!("x_m,y_m\n{tight}"), &["p.csv:", "radius"]);
+    // A turn that is too tight by a limit that the vehicle's file has from another car.
+    fs::write(sandbox.path("car.toml"), "wheelbase_m = 2.0\n").unwrap();
+    let args = ["train", "--path", "p.csv", "--vehicle", "car.toml", "--out", "out"];
+    let told = String::from_utf8(sandbox.run(&args).stderr).unwrap();
+    let told = told.lines().last().unwrap();
+    assert!(told.contains("radius") && told.contains("car.toml"), "{told}");
+    assert!(told.contains("leaves steering_limit_rad out"), "{told}");
     sandbox.assert_clean();
 }
 

@@ -222,7 +222,7 @@ fn speed_zero_at_both_ends() {
         format!("{x:.6},{y:.6},{:.3}", if near == 0.0 { 0.0 } else { (0.3 + 0.1 * near).min(2.0) })
     });
     let driven = drive(&sandbox, &text, &[]);
-    has(&driven.told, &["the speed is 0 at its start", "at its end, where it comes to stand"]);
+    has(&driven.told, &["the speed is 0 at its start", "at its end, where the drive is over"]);
     let [x_m, y_m] = line[last];
     let gap_m = (driven.last("x_m") - x_m).hypot(driven.last("y_m") - y_m);
     assert!(gap_m < 0.3 && driven.last("speed_mps") < 0.4, "{gap_m} {}", driven.last("speed_mps"));

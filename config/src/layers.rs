@@ -631,7 +631,7 @@ fn key_place(document: &toml_edit::Document<impl AsRef<str>>, key: &str) -> Opti
     None
 }
 
-fn line_of(text: &str, offset: usize) -> usize {
+pub(crate) fn line_of(text: &str, offset: usize) -> usize {
     text.as_bytes()[..offset.min(text.len())].iter().filter(|byte| **byte == b'\n').count() + 1
 }
 

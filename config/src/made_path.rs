@@ -183,7 +183,10 @@ fn stand_at_the_end(origin: &str, file: &mut PathFile) -> Result<(), ConfigError
         words.push("at its start, from which the car sets out at rest".to_owned());
     }
     if file.speeds_mps[count - 1] == 0.0 {
-        words.push("at its end, where it comes to stand".to_owned());
+        words.push(
+            "at its end, where the drive is over within drive.goal_radius_m and the car is stopped"
+                .to_owned(),
+        );
     }
     let inner = if count > 2 { zeros(1, count - 1) } else { 0 };
     if inner > 0 {

@@ -172,8 +172,10 @@ impl Layers {
         let advice = "name a TOML file with [[plants]], or `default`";
         let text = crate::read_small(file)
             .map_err(|why| ConfigError::new(&origin, "", format!("{why}; {advice}")))?;
-        let File { plants } = toml::from_str(&text)
-            .map_err(|why| ConfigError::new(&origin, "", format!("{}; {advice}", why.message())))?;
+        let File { plants } = toml::from_str(&text).map_err(|why| {
+            let line = crate::layers::line_of(&text, why.span().map_or(0, |span| span.start));
+            ConfigError::new(format!("{origin}:{line}"), "", format!("{}; {advice}", why.message()))
+        })?;
         if plants.is_empty() {
             return Err(ConfigError::new(&origin, "plants", format!("is empty; {advice}")));
         }

@@ -213,5 +213,13 @@ fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> anyhow::Result<R
             false => bag::read(file, vehicle, args),
         };
     }
+    let of_bags = [
+        ("--odometry", args.odometry.is_some()),
+        ("--command", args.command.is_some()),
+        ("--command-type", args.command_type.is_some()),
+    ];
+    if let Some((option, _)) = of_bags.into_iter().find(|(_, is_given)| *is_given) {
+        anyhow::bail!("is no bag, and {option} is about the topics of one; leave it out");
+    }
     csv_drive::read(file)
 }

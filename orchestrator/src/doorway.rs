@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::Parser;
 use clap::error::ErrorKind;
+use clap::{CommandFactory, FromArgMatches};
 use config::{Parameters, RunConfig, ZoneRegion};
 use outcome::Margin;
 use runtime::limits;
@@ -94,10 +94,23 @@ pub fn run(house: House) -> ExitCode {
     }
 }
 
+/// The command line. `-1` behind an option is its value, which that option may refuse by name, and no option of its own.
+fn parsed() -> Result<Cli, clap::Error> {
+    fn with_negative_values(command: clap::Command) -> clap::Command {
+        let of_arg = |arg: clap::Arg| {
+            let takes_values = arg.get_action().takes_values() && !arg.is_positional();
+            if takes_values { arg.allow_negative_numbers(true) } else { arg }
+        };
+        command.mut_args(of_arg).mut_subcommands(with_negative_values)
+    }
+    let mut matches = with_negative_values(Cli::command()).try_get_matches()?;
+    Cli::from_arg_matches_mut(&mut matches)
+}
+
 /// Not inlined: the check before it must come before the stack is used.
 #[inline(never)]
 fn run_with_stack(house: House) -> ExitCode {
-    match Cli::try_parse() {
+    match parsed() {
         Ok(cli) => match execute(cli.command, house) {
             Ok(true) => ExitCode::SUCCESS,
             Ok(false) => ExitCode::from(1),

@@ -1,6 +1,11 @@
 //! `pathtune compare`: which configurations are compared, and how the comparison is shown.
 
-use config::RunConfig;
+use std::collections::BTreeSet;
+use std::fmt::Arguments;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use config::{Layers, RunConfig, Settings};
 use outcome::Compared;
 
 use crate::cli::CompareArgs;
@@ -11,6 +16,10 @@ use crate::words::{Failure, comparison};
 
 /// The tuner beside which all others are seen.
 const RANDOM: &str = "random";
+/// What the keys of a tuner's own settings begin with.
+const SETTINGS: &str = "tuner.settings.";
+/// So long nothing may be told.
+const SILENCE: Duration = Duration::from_secs(2);
 
 /// For each law a configuration for each tuner; those of a law differ in nothing else.
 ///
@@ -26,12 +35,46 @@ pub fn compare_configs(args: &CompareArgs) -> Result<Vec<Vec<RunConfig>>, Failur
     if !tuners.contains(&RANDOM) {
         tuners.push(RANDOM);
     }
+    for law in &args.laws {
+        setup::check_preset("--laws", "laws", law, Path::new(law).is_file())?;
+    }
+    let (settings, others): (Vec<String>, Vec<String>) =
+        args.set.iter().cloned().partition(|it| it.starts_with(SETTINGS));
     let mut laws: Vec<Option<&str>> = args.laws.iter().map(|law| Some(law.as_str())).collect();
     if laws.is_empty() {
         laws.push(args.law.as_deref());
     }
-    let config = |law, tuner: &&str| config_of(args, law, tuner);
-    laws.into_iter().map(|law| tuners.iter().map(|tuner| config(law, tuner)).collect()).collect()
+    let mut unused: BTreeSet<&String> = settings.iter().collect();
+    let mut studies = Vec::new();
+    for law in laws {
+        let mut configs = Vec::new();
+        for tuner in &tuners {
+            let mut layers = layers_of(args, law, tuner, &others)?;
+            let known = layers.clone().resolve()?.tuner.settings;
+            for setting in &settings {
+                // Each of the tuners takes those that it has.
+                if is_setting_of(&known, setting) {
+                    unused.remove(setting);
+                    layers.set(setting)?;
+                }
+            }
+            configs.push(config_of(args, layers, tuner)?);
+        }
+        studies.push(configs);
+    }
+    match unused.first() {
+        None => Ok(studies),
+        Some(setting) => {
+            let why = format!("--set {setting}: none of the tuners {} has it", tuners.join(", "));
+            Err(Failure::User(why))
+        }
+    }
+}
+
+/// Whether `tuner.settings.KEY=VALUE` is for one of these settings.
+fn is_setting_of(known: &Settings, assignment: &str) -> bool {
+    let key = assignment.split_once('=').map_or(assignment, |(key, _)| key);
+    known.0.contains_key(key[SETTINGS.len()..].trim())
 }
 
 fn check_once(option: &str, names: &[String]) -> Result<(), Failure> {
@@ -43,7 +86,12 @@ fn check_once(option: &str, names: &[String]) -> Result<(), Failure> {
     }
 }
 
-fn config_of(args: &CompareArgs, law: Option<&str>, tuner: &str) -> Result<RunConfig, Failure> {
+fn layers_of(
+    args: &CompareArgs,
+    law: Option<&str>,
+    tuner: &str,
+    set: &[String],
+) -> Result<Layers, Failure> {
     let sources = Sources {
         path: args.path.as_deref(),
         reading: &args.reading,
@@ -53,7 +101,7 @@ fn config_of(args: &CompareArgs, law: Option<&str>, tuner: &str) -> Result<RunCo
         config: args.config.as_deref(),
         laps: None,
         start: None,
-        set: &args.set,
+        set,
     };
     let mut layers = setup::layers(args.maneuver.as_deref(), sources, Some(tuner))?;
     if let Some(seed) = args.seed {
@@ -63,6 +111,10 @@ fn config_of(args: &CompareArgs, law: Option<&str>, tuner: &str) -> Result<RunCo
         layers.put("--noise", "noise.enabled", true)?;
     }
     put_plants(&mut layers, &args.over)?;
+    Ok(layers)
+}
+
+fn config_of(args: &CompareArgs, mut layers: Layers, tuner: &str) -> Result<RunConfig, Failure> {
     let settings = layers.clone().resolve()?.tuner.settings.0;
     if settings.contains_key("drives") {
         layers.put("--drives", "tuner.settings.drives", i64::from(args.drives))?;
@@ -85,13 +137,47 @@ fn config_of(args: &CompareArgs, law: Option<&str>, tuner: &str) -> Result<RunCo
     Ok(config)
 }
 
-/// Tells that all trainings of a tuner are over.
-pub fn tell_compared(args: &CompareArgs, law: &str, tuner: &str) {
-    if args.quiet {
-        return;
+/// Tells how far a comparison is, now and then.
+#[derive(Debug)]
+pub struct CompareProgress<'a> {
+    args: &'a CompareArgs,
+    law: &'a str,
+    told: Instant,
+}
+
+impl<'a> CompareProgress<'a> {
+    /// That of the comparison with this law, which begins now.
+    pub fn new(args: &'a CompareArgs, law: &'a str) -> Self {
+        Self { args, law, told: Instant::now() }
     }
-    let law = if args.laws.is_empty() { String::new() } else { format!("{law}, ") };
-    tell!("pathtune: {law}{tuner}: {} trainings are over", args.seeds);
+
+    /// So many sets of the grid are known.
+    pub fn tell_grid(&mut self, done: usize, all: usize) {
+        if self.told.elapsed() >= SILENCE {
+            self.tell(format_args!("{done} of {all} sets of the grid are known"));
+        }
+    }
+
+    /// So many trainings of a tuner are over.
+    pub fn tell_trainings(&mut self, tuner: &str, done: u64) {
+        let all = u64::from(self.args.seeds);
+        if done == all {
+            self.tell(format_args!("{tuner}: {all} trainings are over"));
+        } else if self.told.elapsed() >= SILENCE {
+            self.tell(format_args!("{tuner}: {done} of {all} trainings are over"));
+        }
+    }
+
+    fn tell(&mut self, what: Arguments<'_>) {
+        self.told = Instant::now();
+        if self.args.quiet {
+            return;
+        }
+        match self.args.laws.is_empty() {
+            true => tell!("pathtune: {what}"),
+            false => tell!("pathtune: {}, {what}", self.law),
+        }
+    }
 }
 
 /// Prints the comparison of each law as tables, as JSON or as CSV.

@@ -16,7 +16,7 @@ mod sweep;
 mod train;
 
 pub use certify::{Certifiable, certifiable};
-pub use compare::{compare_configs, print_comparisons, tell_compared};
+pub use compare::{CompareProgress, compare_configs, print_comparisons};
 pub use identify::{Identified, conclude, roll_back, vehicle_of};
 pub use replay::{replay, replay_config};
 

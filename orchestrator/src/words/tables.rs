@@ -370,12 +370,15 @@ fn print_how_it_went(run: &Run) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Name of the objective, if its value is not that of another column.
+/// Heading of the objective's value, if that is not the value of another column.
 pub(super) fn objective_column(config: &RunConfig) -> Option<&str> {
     let objective = &config.objective;
     let is_a_column = ["distance", "mse", "path", "path_max"].contains(&&*objective.name);
-    // With a cap or a price, a drive may have another value than its column shows.
-    (!is_a_column || objective.is_adjusted()).then_some(&objective.name)
+    match is_a_column {
+        // With a cap, a limit or a price, a drive may have another value than the column of that name shows.
+        true => objective.is_adjusted().then_some("objective"),
+        false => Some(&objective.name),
+    }
 }
 
 /// Columns for the measures of a drive.

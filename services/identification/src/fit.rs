@@ -18,6 +18,11 @@ const AGREES: f64 = 1.0;
 const MOST_ROUGH: f64 = 2.3;
 /// A drive that would be no worse than this by a value without end has not seen the parameter's effect.
 const UNSEEN: f64 = 15.0;
+/// Shares of the largest angle that commands ask for, at which the wheels may stop, and one at which none does; so many steps of a fit tell whether they do,
+/// if that is so much better (as above).
+const STOPS: [f64; 6] = [1.1, 0.9, 0.8, 0.7, 0.6, 0.5];
+const STOP_STEPS: usize = 5;
+const STOP_SHOWS: f64 = 50.0;
 /// How often the way between a value that fits and one that does not is halved.
 const HALVINGS: usize = 8;
 
@@ -321,8 +326,12 @@ pub(crate) fn fit_steering(
         }
     }
     let (start, weights) = best_start(&alone, starts, 4)?;
-    let (start, _) = settle(&alone, weights, &start, 2, &|_| true);
+    let (start, weights) = settle(&alone, weights, &start, 2, &|_| true);
+    let stopped = stopped(&alone, &weights, &start);
     let mut joint = Steering::new(stretches, vehicle, point_m, wheelbase_is_measured, true);
+    let start = stopped.unwrap_or(start);
+    let is_reached = libm::exp(start[steering::STOP]) < joint.most_asked_rad(&start);
+    joint.axes[steering::STOP].free = is_reached && start[steering::STOP] != file[steering::STOP];
     let weights = even(&joint);
     let (at, weights) = settle(&joint, weights, &start, 4, &|_| true);
     let mut stage = Stage::new(&joint, at, weights);
@@ -330,6 +339,24 @@ pub(crate) fn fit_steering(
     hold_what_is_not_proven(&mut joint, &mut stage, limits, extras)?;
     // Wheels that never turned as fast as they can tell a least rate, and no greatest one.
     hold_what_is_not_told(&mut joint, stage, limits, Some(steering::RATE))
+}
+
+/// A place that fits the yaw rate much better, because the wheels stop before they come as far as they are told and the file
+/// says, or turn farther than the file says; `None` if there is none. Without a stop, a fit takes wheels that rest at theirs
+/// for wheels that turn slowly.
+fn stopped(alone: &Steering<'_>, weights: &Weights, at: &[f64]) -> Option<Vec<f64>> {
+    let (most_rad, of_file) = (alone.most_asked_rad(at), at[steering::STOP]);
+    let ends = STOPS.map(|share| libm::log(share * most_rad)).into_iter();
+    // Beyond all that was asked for, wheels do not stop.
+    let ends = ends.filter(|it| *it < of_file || libm::log(most_rad) > of_file);
+    let at_stop = |stop: f64| {
+        let mut there = at.to_vec();
+        there[steering::STOP] = stop;
+        let there = descend(alone, weights, &there, STOP_STEPS);
+        (cost(alone, weights, &there), there)
+    };
+    let (least, there) = ends.map(at_stop).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (least < cost(alone, weights, at) - STOP_SHOWS).then_some(there)
 }
 
 /// The fit of some blocks alone, with the same parameters held.

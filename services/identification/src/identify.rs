@@ -361,6 +361,7 @@ fn apply(vehicle: &Vehicle, rows: &[Row], options: Options) -> Vehicle {
             "steering_delay_s" => &mut new.steering_delay_s,
             "steering_lag_s" => &mut new.steering_lag_s,
             "steering_rate_radps" => &mut new.steering_rate_radps,
+            "steering_limit_rad" => &mut new.steering_limit_rad,
             "steering_offset_rad" => &mut new.steering_offset_rad,
             "steering_gain" => &mut new.steering_gain,
             "rear_slip_s2pm" => &mut new.rear_slip_s2pm,

@@ -62,6 +62,7 @@ impl Row {
             "steering_rate_radps" => {
                 "large steering steps, at which the wheels turn as fast as they can"
             }
+            "steering_limit_rad" => "bends as tight as the car can drive, to both sides",
             "tracked_point_m" | "ros2.odometry_point_m" => "tight bends to both sides",
             "rear_slip_s2pm" | "yaw_lag_s2pm" | "understeer_s2pm" => {
                 "bends to both sides, slowly and as fast as it is to drive"
@@ -84,6 +85,7 @@ pub(crate) fn limits_of_steering(vehicle: &Vehicle) -> impl Fn(usize, &[f64]) ->
         // A lag of some milliseconds need not be known to a quarter.
         steering::LAG => 0.25_f64.max(0.01 / libm::exp(at[index])),
         steering::RATE => 0.25,
+        steering::STOP => 0.05,
         steering::OFFSET => 0.01,
         steering::POINT => 0.2 * size,
         // Tyres do something only where the drive says so for certain.
@@ -200,6 +202,10 @@ pub(crate) fn steering_rows(
         key("steering_offset_rad", vehicle.steering_offset_rad, &[steering::OFFSET], false),
         key(point, point_m, &[steering::POINT], false),
     ];
+    // Most drives do not come to the stop.
+    if fitted.told[steering::STOP] != Told::Held {
+        rows.push(key("steering_limit_rad", vehicle.steering_limit_rad, &[steering::STOP], true));
+    }
     rows.extend(tyre_rows(fitted, vehicle));
     rows
 }

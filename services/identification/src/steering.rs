@@ -34,7 +34,9 @@ pub(crate) const UNDERSTEER: usize = 11;
 /// How much older the poses are than the yaw rate, in s: a filter of one of them is slower, or a simulator's pose is a part
 /// of a tick ahead of its rates.
 pub(crate) const POSE_AGE: usize = 12;
-const COUNT: usize = 13;
+/// Where the wheels stop, as a logarithm: the file's limit, unless a drive shows that they stop before it.
+pub(crate) const STOP: usize = 13;
+const COUNT: usize = 14;
 /// No car has more of either.
 const MOST_S2PM: f64 = 0.05;
 
@@ -55,6 +57,9 @@ const UNKNOWN_S: f64 = 1.5;
 /// The logarithm of the slowest steering rate that is looked for, .02 rad/s; and the quickest one, rad/s.
 const LEAST_LOG_RATE: f64 = -3.912;
 const MOST_RATE_RADPS: f64 = 50.0;
+/// No car steers less, or more, rad.
+const LEAST_STOP_RAD: f64 = 0.02;
+const MOST_STOP_RAD: f64 = 1.5;
 /// So many steps of the command, at least, tell how quick the wheels are.
 const TELLING_STEPS: usize = 5;
 
@@ -85,6 +90,7 @@ pub(crate) fn of_vehicle(vehicle: &Vehicle, point_m: f64) -> [f64; COUNT] {
     at[POINT] = point_m;
     at[YAW_LAG] = vehicle.yaw_lag_s2pm;
     at[UNDERSTEER] = vehicle.understeer_s2pm;
+    at[STOP] = libm::log(vehicle.steering_limit_rad);
     at
 }
 
@@ -99,6 +105,7 @@ pub(crate) fn to_vehicle(at: &[f64], vehicle: &Vehicle) -> Vehicle {
     new.steering_gain = libm::exp(at[GAIN]);
     new.yaw_lag_s2pm = at[YAW_LAG];
     new.understeer_s2pm = at[UNDERSTEER];
+    new.steering_limit_rad = libm::exp(at[STOP]);
     new
 }
 
@@ -187,6 +194,7 @@ impl<'a> Steering<'a> {
             axis(YAW_LAG, 0.0, MOST_S2PM, 0.02, 1e-6, with_poses && slips),
             axis(UNDERSTEER, 0.0, MOST_S2PM, 0.02, 1e-6, with_poses && slips),
             axis(POSE_AGE, -0.3, 0.3, 0.02, 1e-4, with_poses && has_yaw_rate),
+            axis(STOP, log(LEAST_STOP_RAD), log(MOST_STOP_RAD), 1.2, 1e-5, false),
         ];
         let mut new = Self {
             stretches,
@@ -199,6 +207,14 @@ impl<'a> Steering<'a> {
         };
         new.places = new.lay_out();
         new
+    }
+
+    /// The largest angle that commands ask the wheels for, by a fit, whatever they can do.
+    pub(crate) fn most_asked_rad(&self, at: &[f64]) -> f64 {
+        let (gain, offset_rad) = (libm::exp(at[GAIN]), at[OFFSET]);
+        let commands = self.stretches.iter().flat_map(|it| &it.commands);
+        let asked = commands.map(|it| (gain * it.steering_rad + offset_rad).abs());
+        asked.fold(LEAST_STOP_RAD, f64::max)
     }
 
     fn lay_out(&self) -> Vec<Place> {

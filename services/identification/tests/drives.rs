@@ -328,3 +328,39 @@ fn a_value_that_does_not_fit_gives_way_even_if_the_drive_hardly_tells_it() {
     assert!(found.predictions.iter().all(|it| it.after_m < 0.05), "{:?}", found.predictions);
     assert!(found.vehicle.throttle_accel_mps2 > 6.0, "{}", found.vehicle.throttle_accel_mps2);
 }
+
+/// The value of a key that was identified, and its interval.
+fn told(found: &identification::Identification, key: &str) -> Option<(f64, [f64; 2])> {
+    let row = found.rows.iter().find(|it| it.key == key)?;
+    Some((row.after, row.interval?))
+}
+
+#[test]
+fn wheels_that_stop_before_the_file_s_limit_are_not_taken_for_slow_ones() {
+    let (mut car, file, mut dice) = car();
+    car.steering_limit_rad = 0.19;
+    let found = identify(&[excite(&car, &SENSORS, &mut dice)], &file, Options::default()).unwrap();
+    let (stop, [low, high]) = told(&found, "steering_limit_rad").unwrap();
+    assert!(
+        (stop / 0.19 - 1.0).abs() < 0.01 && low <= 0.19 && 0.19 <= high,
+        "{stop} [{low}, {high}]"
+    );
+    assert_eq!(found.vehicle.steering_limit_rad, stop);
+    let (rate, _) = told(&found, "steering_rate_radps").unwrap();
+    assert!((rate / car.steering_rate_radps - 1.0).abs() < 0.05, "{rate}");
+    let off = found.vehicle.wheelbase_m / car.wheelbase_m - 1.0;
+    assert!(off.abs() < 0.01, "{off}");
+}
+
+#[test]
+fn wheels_that_turn_farther_than_the_file_s_limit_are_told_as_they_are() {
+    let (car, mut file, mut dice) = car();
+    file.steering_limit_rad = 0.2;
+    let found = identify(&[excite(&car, &SENSORS, &mut dice)], &file, Options::default()).unwrap();
+    let (rate, _) = told(&found, "steering_rate_radps").unwrap();
+    assert!((rate / car.steering_rate_radps - 1.0).abs() < 0.05, "{rate}");
+    let off = found.vehicle.wheelbase_m / car.wheelbase_m - 1.0;
+    assert!(off.abs() < 0.01, "{off}");
+    let is_told = |it: &String| it.contains("the file's steering_limit_rad is 0.2");
+    assert!(found.warnings.iter().any(is_told), "{:?}", found.warnings);
+}

@@ -77,6 +77,11 @@ fn cars(count: usize) -> Vec<(Vehicle, Vehicle, Identification)> {
         .collect()
 }
 
+/// How many stops of the steering are told.
+fn stops(found: &Identification) -> usize {
+    found.rows.iter().filter(|row| row.key == "steering_limit_rad").count()
+}
+
 fn count(default: usize) -> usize {
     std::env::var("PATHTUNE_HIDDEN_CARS").map_or(default, |text| text.parse().unwrap())
 }
@@ -121,6 +126,7 @@ fn a_hidden_car_is_found_and_what_a_drive_does_not_tell_is_left_alone() {
             let it = read(&found, &car, key, of, log);
             assert!(!it.identified || it.error.abs() < bound, "{key}: {it:?}");
         }
+        assert_eq!(stops(&found), 0, "no wheels came to their stop");
         for row in &found.rows {
             assert_eq!(row.identified, row.interval.is_some());
             assert_eq!(row.identified, row.why.is_none());
@@ -146,6 +152,8 @@ fn figures_of_many_hidden_cars() {
     let cars = cars(n);
     let each_s = started.elapsed().as_secs_f64() / n as f64;
     println!("{n} cars, {each_s:.2} s each (drive and identification)");
+    let stops: usize = cars.iter().map(|(_, _, found)| stops(found)).sum();
+    println!("a stop of the steering that no car came to, told: {stops}");
     println!(
         "key                    unit  |error| median     p90    mean  half p50  half/(1.96 sd)  identified  covered  p"
     );

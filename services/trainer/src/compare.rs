@@ -40,11 +40,31 @@ const SEEDS_OF_BEST: Range<u64> = SEEDS_OF_TRUTH.end..SEEDS_OF_TRUTH.end + DRIVE
 /// Drives after which it is asked what a tuner recommends, as far as the budget reaches; and after the last one.
 const MARKS: [u32; 4] = [10, 20, 30, 60];
 
+/// What of a comparison is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Progress<'a> {
+    /// So many of all sets of the grid are known.
+    Grid {
+        /// Their number.
+        done: usize,
+        /// That of all.
+        all: usize,
+    },
+    /// So many trainings of a tuner are over.
+    Trainings {
+        /// The tuner's name.
+        tuner: &'a str,
+        /// Their number.
+        done: u64,
+    },
+}
+
 /// Compares the tuners of some configurations that differ in nothing else, each with `seeds` seeds from `run.seed` on and
-/// `drives` drives. Tells `each` what is under way, and how many of its seeds are done.
+/// `drives` drives. Tells `each` what is done.
 ///
 /// # Errors
-/// If the grid takes so long that it is not driven: then no set is known to be the best.
+/// If the grid takes so long that it is not driven: then no set is known to be the best. If a tuner finds no set that may be
+/// driven.
 ///
 /// # Panics
 /// If there is no configuration.
@@ -52,21 +72,21 @@ pub fn compare(
     configs: &[RunConfig],
     seeds: u64,
     drives: u32,
-    mut each: impl FnMut(&str, u64),
+    mut each: impl FnMut(Progress<'_>),
 ) -> Result<Compared, String> {
     let config = &configs[0];
     check_grid(config)?;
-    let mut yardstick = Yardstick::new(config);
+    let mut yardstick = Yardstick::new(config, |done, all| each(Progress::Grid { done, all }));
     let mut tuners: Vec<TunerCourses> = Vec::new();
     for config in configs {
         let mut of_tuner = Vec::new();
+        let tuner = config.learning.tuner.as_str();
         for number in 0..seeds {
-            each(&config.learning.tuner, number);
             let mut config = config.clone();
             config.run.seed = config.run.seed.wrapping_add(number);
-            of_tuner.push((config.run.seed, yardstick.course(&config, drives)));
+            of_tuner.push((config.run.seed, yardstick.course(&config, drives)?));
+            each(Progress::Trainings { tuner, done: number + 1 });
         }
-        each(&config.learning.tuner, seeds);
         tuners.push((config.learning.tuner.clone(), of_tuner));
     }
     let subject = CompareSubject {
@@ -87,10 +107,14 @@ pub fn course(config: &RunConfig, drives: u32) -> Result<Course, String> {
     let mut config = config.clone();
     // By plain calls the same drive is the same again.
     config.run.memo = true;
-    Ok(Yardstick::new(&config).course(&config, drives))
+    Yardstick::new(&config, |_, _| {}).course(&config, drives)
 }
 
-fn check_grid(config: &RunConfig) -> Result<(), String> {
+/// Whether tuners can be compared with this configuration.
+///
+/// # Errors
+/// If the grid takes so long that it is not driven.
+pub fn check_grid(config: &RunConfig) -> Result<(), String> {
     if grid_is_driven(config) {
         return Ok(());
     }
@@ -221,7 +245,7 @@ struct Yardstick {
 }
 
 impl Yardstick {
-    fn new(config: &RunConfig) -> Self {
+    fn new(config: &RunConfig, mut each: impl FnMut(usize, usize)) -> Self {
         let ranking = Ranking::by_rollout(config);
         let mut it = Self {
             truth: Truth::new(config),
@@ -237,6 +261,7 @@ impl Yardstick {
         for position in grid.positions() {
             let value = it.measure(&grid.set(position));
             it.of_grid.push(value);
+            each(it.of_grid.len(), grid.len());
         }
         if it.is_noisy() {
             it.measure_best_again();
@@ -352,11 +377,11 @@ impl Yardstick {
     }
 
     /// One training, until it ends or its budget does.
-    fn course(&mut self, config: &RunConfig, drives: u32) -> Course {
+    fn course(&mut self, config: &RunConfig, drives: u32) -> Result<Course, String> {
         let marks: Vec<u32> =
             MARKS.into_iter().filter(|mark| *mark < drives).chain([drives]).collect();
         let mut training = Training::new(config, self.objective);
-        while training.prepare().expect("some set may be driven") < 1.0 {}
+        while training.prepare()? < 1.0 {}
         // The noise over plants is that of the training's own seed.
         let mut own = config.is_noisy_over_plants().then(|| PlantRollouts::new(config));
         let (mut driven, mut better, mut recommended) = (0, Vec::<(u32, f64)>::new(), Vec::new());
@@ -388,7 +413,7 @@ impl Yardstick {
         let value = self.truth(&set);
         recommended.resize(marks.len(), value);
         let (best_value, best) = self.best;
-        Course {
+        Ok(Course {
             drives,
             plants: config.plants(),
             drives_of_truth: self.drives_of_truth(),
@@ -400,7 +425,7 @@ impl Yardstick {
             better,
             marks,
             recommended,
-        }
+        })
     }
 }
 
@@ -448,7 +473,7 @@ mod tests {
         };
         let configs: Vec<RunConfig> = words[1].split(',').map(config).collect();
         let compared =
-            compare(&configs, words[2].parse().unwrap(), words[3].parse().unwrap(), |_, _| {});
+            compare(&configs, words[2].parse().unwrap(), words[3].parse().unwrap(), |_| {});
         for it in compared.unwrap().result.tuners {
             for (name, it) in [("2 %", it.to_within_2_percent), ("top 1 %", it.to_top_1_percent)] {
                 let of =
@@ -482,10 +507,9 @@ mod tests {
         let tuners = ["random", "gp", "educated-q"];
         let configs = configs(&tuners, &[]);
         let mut told = Vec::new();
-        let compared =
-            compare(&configs, 4, 12, |tuner, done| told.push((tuner.to_owned(), done))).unwrap();
-        assert_eq!(compare(&configs, 4, 12, |_, _| {}).unwrap(), compared);
-        assert_eq!(told.len(), 3 * 5);
+        let compared = compare(&configs, 4, 12, |it| told.push(format!("{it:?}"))).unwrap();
+        assert_eq!(compare(&configs, 4, 12, |_| {}).unwrap(), compared);
+        assert_eq!(told.len(), configs[0].grid().len() + 3 * 4);
         let result = &compared.result;
         assert_eq!(result.grid_size, configs[0].grid().len());
         assert_eq!(compared.rows.len(), 12);
@@ -509,14 +533,14 @@ mod tests {
             &["random"],
             &["noise.enabled=true", "grid.kl={min=1,max=1,step=1}", "grid.ks={min=1,max=1,step=1}"],
         );
-        let compared = compare(&configs, 2, 9, |_, _| {}).unwrap();
+        let compared = compare(&configs, 2, 9, |_| {}).unwrap();
         assert_eq!(compared.result.drives_of_truth, DRIVES_OF_TRUTH);
         assert!(compared.rows.iter().all(|row| row.regret.iter().all(|it| *it >= 0.0)));
     }
 
     #[test]
     fn a_grid_that_is_not_driven_is_no_yardstick() {
-        let told = compare(&configs(&["random"], &["ranking.max_ticks=1000"]), 2, 5, |_, _| {});
+        let told = compare(&configs(&["random"], &["ranking.max_ticks=1000"]), 2, 5, |_| {});
         let why = told.unwrap_err();
         assert!(why.contains("ranking.max_ticks") && why.contains("750 sets"), "{why}");
     }

@@ -6,12 +6,14 @@
 
 use super::{Cholesky, Point};
 
-/// What is known of a point: its value, and the number of drives of which that is the mean.
+/// What is known of a point: its value, the number of drives of which that is the mean, and the sum of the squared differences
+/// of these from it.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Reading {
     pub(crate) point: Point,
     pub(crate) value: f64,
     pub(crate) drives: u32,
+    pub(crate) scatter: f64,
 }
 
 /// Lengths of the kernel and noise of a drive, as logarithms.
@@ -103,6 +105,25 @@ struct Fit {
     squares: Vec<Vec<f64>>,
     values: Vec<f64>,
     drives: Vec<f64>,
+    repeats: Repeats,
+}
+
+/// What drives of the same points tell of the noise, by how they differ: more than any model of the points does.
+#[derive(Debug, Clone, Copy)]
+struct Repeats {
+    /// How many drives there are beyond the first ones of their points.
+    count: f64,
+    /// Sum of the squared differences from the means, in units of the values' standard deviation.
+    scatter: f64,
+}
+
+impl Repeats {
+    fn of(readings: &[Reading], scale: f64) -> Self {
+        Self {
+            count: readings.iter().map(|it| f64::from(it.drives) - 1.0).sum(),
+            scatter: readings.iter().map(|it| it.scatter).sum::<f64>() / (scale * scale),
+        }
+    }
 }
 
 impl Fit {
@@ -113,12 +134,13 @@ impl Fit {
             let pairs = (0..size).flat_map(|a| (a + 1..size).map(move |b| (a, b)));
             pairs.map(|(a, b)| square(coordinate(a) - coordinate(b))).collect()
         };
-        let (values, ..) = standardised(readings);
+        let (values, _, scale) = standardised(readings);
         Self {
             size,
             squares: (0..dimensions).map(of_axis).collect(),
             values,
             drives: readings.iter().map(|it| f64::from(it.drives)).collect(),
+            repeats: Repeats::of(readings, scale),
         }
     }
 
@@ -141,16 +163,19 @@ impl Fit {
         let Some(factor) = Cholesky::of(matrix, self.size) else { return f64::NEG_INFINITY };
         let mut solved = self.values.clone();
         factor.solve_lower(&mut solved, 1);
-        let fit = -0.5 * factor.log_determinant()
-            - 0.5 * (self.size as f64 + 2.0) * libm::log(variance(&solved));
+        let count = self.size as f64 + self.repeats.count;
+        let fit = -0.5 * (factor.log_determinant() + self.repeats.count * log_noise)
+            - 0.5 * (count + 2.0) * libm::log(variance(&solved, self.repeats, noise));
         let belief = |(at, it): (&f64, &Belief)| -0.5 * square((at - it.mean) / it.sd);
         fit + at.iter().zip(beliefs).map(belief).sum::<f64>()
     }
 }
 
-/// The process's variance, given L⁻¹ y: its mode, if one as large as the values' counts as much as two readings do.
-fn variance(solved: &[f64]) -> f64 {
-    (solved.iter().map(|it| it * it).sum::<f64>() + 2.0) / (solved.len() as f64 + 2.0)
+/// The process's variance, given L⁻¹ y and a drive's noise as a share of it: its mode, if one as large as the values' counts as
+/// much as two readings do.
+fn variance(solved: &[f64], repeats: Repeats, noise: f64) -> f64 {
+    let squares = solved.iter().map(|it| it * it).sum::<f64>() + repeats.scatter / noise;
+    (squares + 2.0) / (solved.len() as f64 + repeats.count + 2.0)
 }
 
 impl Process {
@@ -169,7 +194,8 @@ impl Process {
             Cholesky::of(unit.collect(), size).expect("a unit matrix has a factor")
         });
         factor.solve_lower(&mut weights, 1);
-        let variance = variance(&weights);
+        let noise = libm::exp(shape.log_noise);
+        let variance = variance(&weights, Repeats::of(readings, scale), noise);
         factor.solve_upper(&mut weights);
         Self { shape, points, factor, weights, variance, mean, scale }
     }
@@ -196,6 +222,11 @@ impl Process {
             (self.mean + self.scale * mean, self.scale * sd)
         })
         .collect()
+    }
+
+    /// Standard deviation of a drive's noise.
+    pub(crate) fn noise(&self) -> f64 {
+        self.scale * (self.variance * libm::exp(self.shape.log_noise)).sqrt()
     }
 
     /// The shape.
@@ -261,7 +292,7 @@ mod tests {
         let sobol = Sobol::new(vec![3, 4]);
         let reading = |it: u32| {
             let point = sobol.point(it);
-            Reading { value: wave(&point), point, drives: 1 }
+            Reading { value: wave(&point), point, drives: 1, scatter: 0.0 }
         };
         (0..count).map(reading).collect()
     }
@@ -309,6 +340,17 @@ mod tests {
         let off = process.predict(&points).into_iter().zip(&smooth);
         let off = off.map(|((mean, _), it)| square(mean - it.value)).sum::<f64>() / 40.0;
         assert!(off.sqrt() < 0.35, "{off}");
+    }
+
+    #[test]
+    fn drives_of_the_same_points_tell_the_noise() {
+        for sd in [0.3, 0.03] {
+            // Four drives at each point, as far apart as that.
+            let again = |it: Reading| Reading { drives: 4, scatter: 3.0 * sd * sd, ..it };
+            let readings: Vec<Reading> = readings(10).into_iter().map(again).collect();
+            let told = Process::new(Shape::of(&readings, true), &readings).noise();
+            assert!((told / sd - 1.0).abs() < 0.2, "{told} for {sd}");
+        }
     }
 
     #[test]

@@ -13,8 +13,8 @@ type SavedBest = (f64, Vec<f64>);
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Saved {
     drawn: u128,
-    /// Points that were driven: coordinates, sum of the values, number of drives.
-    known: Vec<(Vec<f64>, f64, u32)>,
+    /// Points that were driven: coordinates, sum of the values, of their squares, number of drives.
+    known: Vec<(Vec<f64>, f64, f64, u32)>,
     generation: Vec<Vec<f64>>,
     slots: Vec<(Vec<f64>, Option<f64>)>,
     /// Of each learner: its drives, and the best value with its set.
@@ -33,7 +33,7 @@ impl<M: Method> Search<M> {
                 .space
                 .known
                 .iter()
-                .map(|it| (it.point.clone(), it.sum, it.drives))
+                .map(|it| (it.point.clone(), it.sum, it.squares, it.drives))
                 .collect(),
             generation: self.generation.clone(),
             slots: self.slots.iter().map(|it| (it.point.clone(), it.value)).collect(),
@@ -51,8 +51,11 @@ impl<M: Method> Search<M> {
         };
         let is_whole = saved.known.len() <= self.budget
             && saved.slots.len() <= self.budget
-            && saved.known.iter().all(|(point, sum, drives)| {
-                is_point(point) && sum.is_finite() && (1..=self.budget as u32).contains(drives)
+            && saved.known.iter().all(|(point, sum, squares, drives)| {
+                is_point(point)
+                    && sum.is_finite()
+                    && squares.is_finite()
+                    && (1..=self.budget as u32).contains(drives)
             })
             && saved.generation.iter().all(|it| is_point(it))
             && saved
@@ -70,8 +73,8 @@ impl<M: Method> Search<M> {
             return false;
         }
         self.space.rng.go_to(saved.drawn);
-        for (point, sum, drives) in saved.known {
-            self.space.put(Known { point, sum, drives });
+        for (point, sum, squares, drives) in saved.known {
+            self.space.put(Known { point, sum, squares, drives });
         }
         self.generation = saved.generation;
         self.settled_after = saved.settled_after;

@@ -11,8 +11,9 @@ use crate::rng::Stream;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Known {
     pub(crate) point: Point,
-    /// Sum of the values of its drives, and their number.
+    /// Sum of the values of its drives, of their squares, and their number.
     pub(crate) sum: f64,
+    pub(crate) squares: f64,
     pub(crate) drives: u32,
 }
 
@@ -20,6 +21,15 @@ impl Known {
     /// Mean value of its drives.
     pub(crate) fn mean(&self) -> f64 {
         self.sum / f64::from(self.drives)
+    }
+
+    /// Sum of the squared differences of its drives' values from their mean, as shares of the mean.
+    pub(crate) fn scatter(&self) -> f64 {
+        let mean = self.mean();
+        match self.drives > 1 && mean > 0.0 {
+            true => ((self.squares - self.sum * mean) / (mean * mean)).max(0.0),
+            false => 0.0,
+        }
     }
 }
 
@@ -69,7 +79,7 @@ impl Space {
 
     /// Adds a drive.
     pub(super) fn add(&mut self, point: &[f64], value: f64) {
-        self.put(Known { point: point.to_vec(), sum: value, drives: 1 });
+        self.put(Known { point: point.to_vec(), sum: value, squares: value * value, drives: 1 });
     }
 
     pub(super) fn put(&mut self, drive: Known) {
@@ -78,6 +88,7 @@ impl Space {
         match self.known.get_mut(number) {
             Some(known) => {
                 known.sum += drive.sum;
+                known.squares += drive.squares;
                 known.drives = known.drives.saturating_add(drive.drives);
             }
             None => self.known.push(drive),
