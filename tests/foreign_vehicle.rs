@@ -10,6 +10,7 @@ use config::{MAX_FLEET, RunConfig};
 use ipc_types::{Command, DriveRequest, Odometry, TickHeader, WakeRole, WirePose};
 use runtime::clock::now_ns;
 use runtime::{Bus, Counters, Inlet, Outlet, Service, join, serve};
+use serde_json::Value;
 use simulator::SimulatedVehicle;
 use support::Sandbox;
 use tracking::Pose;
@@ -111,7 +112,8 @@ fn a_training_that_simulates_first_drives_its_budget_and_not_once_more_whatever_
     ] {
         args.extend(["--set", set]);
     }
-    let ours = sandbox.train("ours", &args);
+    // Where drives repeat exactly, none is made twice.
+    let ours = sandbox.train("ours", &[&args[..], &["--set", "run.repeats=false"]].concat());
     // Nobody can drive so near; another start of the trainer would not help.
     let within = ["train", "--out", "near", "--set", "tuner.settings.within_m=0.01"];
     let others = args.iter().filter(|it| !["--within", "2"].contains(it));
@@ -141,6 +143,31 @@ fn a_training_that_simulates_first_drives_its_budget_and_not_once_more_whatever_
     for key in ["digest", "gains", "simulated_first", "path_mean_m"] {
         assert_eq!(killed[key], theirs[key], "{key}");
     }
+    sandbox.assert_clean();
+}
+
+#[test]
+fn with_a_budget_a_vehicle_makes_these_drives_and_no_others() {
+    let sandbox = Sandbox::new();
+    let unsteady = vehicle("unsteady_vehicle");
+    let args = ["lane_change", "--tuner", "gp", "--drives", "12"];
+    let replaced = sandbox.train("out", &[&args[..], &["--replace", &unsteady]].concat());
+    let drives = &replaced["drives"];
+    assert_eq!((&drives["driven"], &drives["for_table"]), (&12.into(), &0.into()), "{drives}");
+    assert_eq!((&replaced["grid"], &replaced["noise"]), (&Value::Null, &Value::Null));
+    assert_eq!(replaced["drives_recorded"], serde_json::json!([]));
+    // What its model says of the set, and the set's own figures.
+    let predicted = &replaced["predicted"];
+    assert!(predicted["low"].as_f64() < predicted["high"].as_f64(), "{predicted}");
+    assert!(replaced["path_mean_m"].as_f64().unwrap() > 0.0);
+    // One that repeats itself is known by a single drive.
+    let steady = vehicle("fast_vehicle");
+    let more = ["--replace", &steady, "--deterministic"];
+    let replaced = sandbox.train("steady", &[&args[..], &more].concat());
+    assert_eq!(replaced["drives"]["driven"], 12);
+    assert_eq!((&replaced["predicted"], &replaced["grid"]), (&Value::Null, &Value::Null));
+    let ours = sandbox.train("ours", &args);
+    assert_eq!(replaced["digest"], ours["digest"]);
     sandbox.assert_clean();
 }
 

@@ -92,7 +92,9 @@ impl GridAxis {
     fn is_on_bound(&self, value: f64) -> bool {
         let near =
             |bound: f64| (value - bound).abs() <= 1e-6 * self.axis.step * bound.abs().max(1.0);
-        self.len() > 1 && (near(self.value(0)) || near(self.value(self.len() - 1)))
+        let is_end_of_grid = near(self.value(0)) || near(self.value(self.len() - 1));
+        // Between the values of the grid, sets reach an end that the steps need not meet.
+        (self.len() > 1 && is_end_of_grid) || (self.max() > self.min() && near(self.max()))
     }
 
     /// The place of a value, if the axis holds it (up to a millionth of a step).
@@ -229,6 +231,17 @@ mod tests {
         assert_eq!(grid.set(grid.position(1)).0[..4], [0.1, 1.0, 1.0, 0.7 + 0.07]);
         assert_eq!(grid.on_bound(&grid.set(GridPosition::of(&[5, 2, 0, 1]))), [0, 2]);
         assert_eq!(grid.on_bound(&Parameters::of(&[3.0, 20.0, 21.0, 0.7])), [0, 2, 3]);
+    }
+
+    #[test]
+    fn the_end_of_a_range_is_a_bound_whether_the_steps_meet_it_or_not() {
+        let is_on_bound = |min, max, step, value| {
+            GridAxis::new(Axis { min, max, step }, Scale::Linear).is_on_bound(value)
+        };
+        assert!([0.5, 2.5, 4.0].iter().all(|value| is_on_bound(0.5, 4.0, 2.0, *value)));
+        assert!(!is_on_bound(0.5, 4.0, 2.0, 3.0));
+        // One value is no choice, unless a set lies between the values of the grid.
+        assert!(!is_on_bound(1.0, 1.0, 1.0, 1.0) && is_on_bound(0.5, 4.0, 10.0, 4.0));
     }
 
     #[test]

@@ -58,6 +58,9 @@ impl Part {
     }
 }
 
+/// A speed that every vehicle can drive.
+const SLOW_MPS: f64 = 0.01;
+
 impl Layers {
     /// The embedded layers of a manoeuvre: readings, manoeuvre, vehicle.
     ///
@@ -304,9 +307,18 @@ impl Layers {
     /// # Errors
     /// As [`Layers::set_vehicle`] and [`Layers::resolve`].
     pub fn vehicle_of_file(file: &str) -> Result<Vehicle, ConfigError> {
+        Ok(Self::of_vehicle(file, file)?.resolve()?.vehicle)
+    }
+
+    /// The layers of a vehicle that is to drive nothing yet: of a manoeuvre so slow that every vehicle can drive it.
+    ///
+    /// # Errors
+    /// As [`Layers::set_vehicle`].
+    pub fn of_vehicle(origin: &str, vehicle: &str) -> Result<Self, ConfigError> {
         let mut layers = Self::maneuver("lane_change")?;
-        layers.set_vehicle(file, file)?;
-        Ok(layers.resolve()?.vehicle)
+        layers.put(origin, "reference.speed_mps", SLOW_MPS)?;
+        layers.set_vehicle(origin, vehicle)?;
+        Ok(layers)
     }
 
     /// What the user has to know of values that the vehicle's file does not name and has from another car.
@@ -545,8 +557,12 @@ fn take_limits_of_vehicle(values: &mut Table) {
 /// cannot follow is none that the gate should let through.
 fn take_rate_of_vehicle(values: &mut Table, origins: &BTreeMap<String, String>) {
     const OF_VEHICLE: &str = "vehicle.steering_rate_radps";
-    const OF_GATE: &str = "safety.steering_rate_limit_radps";
+    const OF_GATE: &str = "vehicle.safety.steering_rate_limit_radps";
     if !origins.contains_key(OF_VEHICLE) || origins.contains_key(OF_GATE) {
+        return;
+    }
+    // The excitation is to show how fast the wheels turn, whatever the file says.
+    if find(values, "law.name").and_then(Value::as_str) == Some("excitation") {
         return;
     }
     let Some(rate) = find(values, OF_VEHICLE).and_then(number) else { return };

@@ -192,13 +192,11 @@ impl RunConfig {
     /// trained for, which the eight do not ask: so there is a ninth then. It tells nothing of whether a set is fragile, as
     /// every car is farther from the path when it drives faster.
     pub fn plant_changes(&self) -> Vec<PlantChange> {
-        if !self.over.plants.is_empty() {
-            return self.over.plants.clone();
+        let named = self.named_plants();
+        if !named.is_empty() {
+            return named;
         }
         let uncertainty = &self.vehicle.uncertainty;
-        if let Some(stated) = uncertainty.plant_changes(&self.vehicle, self.run.seed) {
-            return stated;
-        }
         // At the reference's speed, a gradient of understeer acts like a longer wheelbase.
         let longer_m = MORE_UNDERSTEER_S2PM * self.reference.speed_mps * self.reference.speed_mps;
         let late = |ms: u32| {
@@ -234,6 +232,16 @@ impl RunConfig {
         }
         // A car whose file is at the edge of what a vehicle can have is not asked for more than that.
         around.into_iter().filter(|it| self.check_plant(it).is_ok()).collect()
+    }
+
+    /// The plants that the configuration names, or those within the intervals that a user states, which the seed spreads; none
+    /// if nobody has named any.
+    pub fn named_plants(&self) -> Vec<PlantChange> {
+        if !self.over.plants.is_empty() {
+            return self.over.plants.clone();
+        }
+        let stated = self.vehicle.uncertainty.plant_changes(&self.vehicle, self.run.seed);
+        stated.unwrap_or_default()
     }
 
     /// The configuration with the vehicle that a change makes of this one. It is for the plant alone: what drives it
@@ -309,6 +317,11 @@ impl RunConfig {
     /// plants it is not: there the noise is the same for all sets, so that it does not tell them apart.
     pub fn steps_differ(&self) -> bool {
         self.noise.enabled && self.over.by == OverBy::Nominal
+    }
+
+    /// Whether a second drive of a set may differ from the first one, by noise or because the vehicle does not repeat itself.
+    pub fn drives_differ(&self) -> bool {
+        self.steps_differ() || !self.run.repeats
     }
 
     /// How the drives are made by which sets are ranked, in words.

@@ -318,6 +318,13 @@ pub struct TunerConfig {
     pub choices: BTreeMap<String, Vec<String>>,
 }
 
+impl TunerConfig {
+    /// Whether it has a budget of drives.
+    pub fn has_budget(&self) -> bool {
+        self.settings.0.contains_key("drives")
+    }
+}
+
 /// When a set is ranked among all sets of the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -650,7 +657,13 @@ pub struct Run {
     pub alphas: Vec<f64>,
     pub fleet: u32,
     pub memo: bool,
+    #[serde(default = "repeats")]
+    pub repeats: bool,
     pub realtime: bool,
+}
+
+fn repeats() -> bool {
+    true
 }
 
 choice!(

@@ -50,10 +50,19 @@ fn with_law(name: &str, law: &str) -> String {
 pub enum Held<'a> {
     /// For this path, or for the manoeuvre of that name.
     Own(&'a String, &'a TunedGains),
-    /// For another path, whose file has the same name.
+    /// For another path or manoeuvre of the same name.
     Others(&'a String, &'a TunedGains),
     /// From an earlier version, which did not note the path.
     Unknown(&'a String, &'a TunedGains),
+}
+
+/// FNV-1a of numbers: no secret, only an identity.
+fn hash(numbers: impl IntoIterator<Item = f64>) -> String {
+    let bytes = numbers.into_iter().flat_map(|number| number.to_bits().to_le_bytes());
+    let hash = bytes.fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    });
+    format!("{hash:016x}")
 }
 
 impl RunConfig {
@@ -68,9 +77,30 @@ impl RunConfig {
         }
     }
 
-    /// What tells a path from others of the same name, as 16 hexadecimal digits: its points, or its pieces and start.
-    /// Speeds, zones and laps do not count.
+    /// What tells a path from others of the same name, as 16 hexadecimal digits: its points, or its pieces and start. Where
+    /// a closed path of points is begun does not count, nor do speeds, zones and laps.
     pub fn path_hash(&self) -> String {
+        let points = &self.path.points;
+        match points.split_last() {
+            Some((last, once @ [first, ..])) if last == first => {
+                let least = |a: &&[f64; 2], b: &&[f64; 2]| {
+                    a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]))
+                };
+                let begin = once.iter().min_by(least);
+                let begin = once.iter().position(|it| Some(it) == begin).unwrap_or_default();
+                hash(once[begin..].iter().chain(&once[..begin]).flatten().copied())
+            }
+            _ => self.hash_from_start(),
+        }
+    }
+
+    /// Whether a noted hash is that of this path.
+    pub fn is_path(&self, noted: &str) -> bool {
+        noted == self.path_hash() || noted == self.hash_from_start()
+    }
+
+    /// The hash as it was noted by earlier versions, which took a closed path with another start for another path.
+    fn hash_from_start(&self) -> String {
         let path = &self.path;
         let mut numbers = vec![path.start.x_m, path.start.y_m, path.start.yaw_rad];
         for piece in &path.pieces {
@@ -82,34 +112,35 @@ impl RunConfig {
             });
         }
         numbers.extend(path.points.iter().flatten());
-        // FNV-1a: no secret, only an identity.
-        let bytes = numbers.iter().flat_map(|number| number.to_bits().to_le_bytes());
-        let hash = bytes.fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
-        });
-        format!("{hash:016x}")
+        hash(numbers)
     }
 
     /// The gains that the vehicle's file holds for this path as a whole.
     pub fn gains_of_path(&self) -> Option<Held<'_>> {
         let (gains, law) = (&self.vehicle.gains, &*self.law.name);
         if !self.is_own_path() {
-            return held(gains, &self.maneuver, law).map(|(key, set)| Held::Own(key, set));
+            let (key, set) = held(gains, &self.maneuver, law)?;
+            let is_others = set.provenance.as_ref().is_some_and(|it| it.path_hash.is_some());
+            return Some(if is_others { Held::Others(key, set) } else { Held::Own(key, set) });
         }
-        let hash = self.path_hash();
-        let noted = |set: &TunedGains| set.provenance.as_ref().and_then(|it| it.path_hash.clone());
         let is_own = |(_, set): &(&String, &TunedGains)| {
-            set.law == law && noted(set).is_some_and(|noted| noted == hash)
+            let noted = set.provenance.as_ref().and_then(|it| it.path_hash.as_deref());
+            set.law == law && noted.is_some_and(|noted| self.is_path(noted))
         };
         if let Some((key, set)) = gains.iter().find(is_own) {
             return Some(Held::Own(key, set));
         }
         if let Some((key, set)) = held(gains, &self.gains_name(), law) {
-            return Some(match noted(set) {
-                Some(noted) if noted != hash => Held::Others(key, set),
-                // Written by hand under this name, or of another law, which is refused elsewhere.
-                _ => Held::Own(key, set),
-            });
+            let is_others = match &set.provenance {
+                Some(it) => match &it.path_hash {
+                    Some(noted) => !self.is_path(noted),
+                    // Of a manoeuvre whose name the file happens to have.
+                    None => it.maneuver != OWN_PATH,
+                },
+                // Written by hand under this name.
+                None => false,
+            };
+            return Some(if is_others { Held::Others(key, set) } else { Held::Own(key, set) });
         }
         // Earlier versions had one name for all paths.
         let (key, set) = held(gains, &self.maneuver, law)?;
@@ -162,6 +193,26 @@ mod tests {
     }
 
     #[test]
+    fn a_closed_path_is_the_same_wherever_it_is_begun() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("lap.csv");
+        let at = |it: u32| std::f64::consts::TAU * f64::from(it % 100) / 100.0;
+        let point = |it| format!("{:.4},{:.4}\n", 20.0 * at(it).sin(), 20.0 * at(it).cos());
+        std::fs::write(&file, format!("x_m,y_m\n{}", (0..=100).map(point).collect::<String>()))
+            .unwrap();
+        let begun_at = |start: Option<&str>| {
+            let mut layers = Layers::own_path();
+            let start = start.map(|it| it.parse().unwrap());
+            layers.add_path_with(&file, start, &crate::PathOptions::default()).unwrap();
+            layers.resolve().unwrap()
+        };
+        let (first, other) = (begun_at(None), begun_at(Some("20,0")));
+        assert_ne!(first.path.points, other.path.points);
+        assert_eq!(first.path_hash(), other.path_hash());
+        assert!(first.is_path(&first.hash_from_start()) && !first.is_path("0"));
+    }
+
+    #[test]
     fn a_path_is_known_by_its_hash_and_not_by_its_file_s_name() {
         let plain = on_path("oval.csv", OVAL, "base = 'tesla_model_3'");
         assert_eq!((&*plain.gains_name(), plain.gains_of_path()), ("oval", None));
@@ -178,6 +229,20 @@ mod tests {
         let other = on_path("oval.csv", OTHER, &car);
         assert!(matches!(other.gains_of_path(), Some(Held::Others(..))));
         assert_eq!(on_path("renamed.csv", OTHER, &car).gains_of_path(), None);
+        // A manoeuvre's are none of a path whose file has its name, nor the other way around.
+        let of_maneuver = car.replace("gains.oval", "gains.roundabout");
+        let on_file = |car: &str| on_path("roundabout.csv", OTHER, car);
+        assert!(matches!(on_file(&of_maneuver).gains_of_path(), Some(Held::Others(..))));
+        let plain = of_maneuver.replace("maneuver = 'path'", "maneuver = 'roundabout'");
+        let plain = plain.replace(&format!("path_hash = '{hash}'\n"), "");
+        assert!(matches!(on_file(&plain).gains_of_path(), Some(Held::Others(..))));
+        let roundabout = |car: &str| {
+            let mut config = Layers::maneuver("roundabout").unwrap().resolve().unwrap();
+            config.vehicle.gains = on_file(car).vehicle.gains;
+            config
+        };
+        assert!(own(&roundabout(&plain)));
+        assert!(matches!(roundabout(&of_maneuver).gains_of_path(), Some(Held::Others(..))));
         // By hand, and of an earlier version, which had one name for all paths.
         let by_hand = format!("base = 'tesla_model_3'\n[gains.oval]\n{PAPER}");
         assert!(own(&on_path("oval.csv", OVAL, &by_hand)));

@@ -39,6 +39,33 @@ fn message(result: Result<impl std::fmt::Debug, ConfigError>) -> String {
 }
 
 #[test]
+fn a_steering_rate_of_the_user_bounds_the_gate_s_and_not_the_excitation_s() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("car.toml");
+    std::fs::write(&file, "base = 'f1tenth'\nname = 'mine'\nsteering_rate_radps = 1.0\n").unwrap();
+    let limit = |sets: &[&str]| {
+        let mut layers = Layers::maneuver("smooth_lane").unwrap();
+        layers.set_vehicle("--vehicle", file.to_str().unwrap()).unwrap();
+        sets.iter().for_each(|set| layers.set(set).unwrap());
+        layers.resolve().unwrap().vehicle.safety.steering_rate_limit_radps
+    };
+    assert_eq!(limit(&[]), 1.0);
+    assert_eq!(limit(&["vehicle.steering_rate_radps=9.0"]), 3.2);
+    assert_eq!(limit(&["vehicle.safety.steering_rate_limit_radps=2.0"]), 2.0);
+    assert_eq!(limit(&["law_preset=excitation"]), 3.2);
+}
+
+#[test]
+fn a_vehicle_that_is_slower_than_every_maneuver_is_a_vehicle() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("agv.toml");
+    let text = "base = 'ackermann'\nname = 'agv'\nspeed_limit_mps = 0.3\n";
+    std::fs::write(&file, text).unwrap();
+    let vehicle = Layers::vehicle_of_file(file.to_str().unwrap()).unwrap();
+    assert_eq!(vehicle.speed_limit_mps, 0.3);
+}
+
+#[test]
 fn every_maneuver_resolves() {
     for name in maneuver_names() {
         let config = Layers::maneuver(name).unwrap().resolve().unwrap();

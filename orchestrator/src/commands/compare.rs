@@ -9,7 +9,7 @@ use config::{Layers, RunConfig, Settings};
 use outcome::Compared;
 
 use crate::cli::CompareArgs;
-use crate::commands::train::put_plants;
+use crate::commands::train::{SIMULATE_FIRST, check_own_plants, keep_within, put_plants};
 use crate::runs::setup::{self, Sources};
 use crate::words::terminal::{say, tell};
 use crate::words::{Failure, comparison};
@@ -40,6 +40,12 @@ pub fn compare_configs(args: &CompareArgs) -> Result<Vec<Vec<RunConfig>>, Failur
     }
     let (settings, others): (Vec<String>, Vec<String>) =
         args.set.iter().cloned().partition(|it| it.starts_with(SETTINGS));
+    if let Some(drives) = settings.iter().find(|it| it.starts_with("tuner.settings.drives=")) {
+        let why = format!(
+            "--set {drives}: all tuners of a comparison have the same budget; give --drives"
+        );
+        return Err(Failure::User(why));
+    }
     let mut laws: Vec<Option<&str>> = args.laws.iter().map(|law| Some(law.as_str())).collect();
     if laws.is_empty() {
         laws.push(args.law.as_deref());
@@ -127,10 +133,14 @@ fn config_of(args: &CompareArgs, mut layers: Layers, tuner: &str) -> Result<RunC
         }
         layers.put("--continuous", "tuner.settings.draw", "continuous")?;
     }
+    if tuner == SIMULATE_FIRST {
+        keep_within(&mut layers)?;
+    }
     let mut config = layers.resolve()?;
     setup::check_law(&config.law)?;
+    check_own_plants(&config)?;
     // Computed by plain calls, in which the same drive is the same again.
-    config.run.memo = true;
+    (config.run.memo, config.run.repeats) = (true, true);
     if config.noise.enabled && config.robust.engage_gear {
         config.vehicle.gear_engaged = true;
     }

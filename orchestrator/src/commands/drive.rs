@@ -149,6 +149,16 @@ pub(crate) fn choose(
 /// The parameters that were promoted to the vehicle: for each manoeuvre that is due, or for the path as a whole.
 fn promoted(config: &RunConfig) -> Result<Option<(Vec<Parameters>, String)>, Failure> {
     let of = |name: &str| slots::held(&config.vehicle.gains, name, &config.law.name);
+    let is_of_own_path =
+        |set: &TunedGains| set.provenance.as_ref().is_some_and(|it| it.path_hash.is_some());
+    let of_others = |name: &str| {
+        Failure::User(format!(
+            "{}: gains.{name} are for another path, which has the same name; train on this one, or give parameters with \
+             --gains {}",
+            config.vehicle_preset,
+            list(config)
+        ))
+    };
     let due = config.maneuvers_due();
     let sets: Option<Vec<(&String, &TunedGains)>> = match config.gains_name() == config.path.name {
         // The path has no manoeuvres of its own.
@@ -157,20 +167,18 @@ fn promoted(config: &RunConfig) -> Result<Option<(Vec<Parameters>, String)>, Fai
     };
     let mut unknown = "";
     let sets = match (sets, config.gains_of_path()) {
-        (Some(sets), _) => sets,
+        (Some(sets), _) => {
+            if let Some((name, _)) = sets.iter().find(|(_, set)| is_of_own_path(set)) {
+                return Err(of_others(name));
+            }
+            sets
+        }
         (None, Some(Held::Own(name, set))) => vec![(name, set)],
         (None, Some(Held::Unknown(name, set))) => {
             unknown = ", which does not say for which path they are";
             vec![(name, set)]
         }
-        (None, Some(Held::Others(name, _))) => {
-            return Err(Failure::User(format!(
-                "{}: gains.{name} are for another path, whose file has the same name; train on this one, or give parameters \
-                 with --gains {}",
-                config.vehicle_preset,
-                list(config)
-            )));
-        }
+        (None, Some(Held::Others(name, _))) => return Err(of_others(name)),
         (None, None) => return Ok(None),
     };
     let origins: Vec<String> = sets

@@ -24,6 +24,9 @@ const KEYS: [&str; 5] = [
     "vehicle.safety.watch_response='off'",
 ];
 
+/// Speed of the path, which nobody follows.
+const PATH_SPEED_MPS: f64 = 1.5;
+
 /// Drives what a car is identified by, and names the command that identifies it.
 ///
 /// # Errors
@@ -37,7 +40,8 @@ pub(crate) fn excite(
     let vehicle = vehicle_of(Path::new(&args.vehicle))?;
     // As much lateral acceleration for its size as a full-size car has.
     let usual_mps = 2.0 * (vehicle.wheelbase_m / FULL_SIZE_WHEELBASE_M).sqrt();
-    let speed_mps = args.speed.unwrap_or((usual_mps * 100.0).round() / 100.0);
+    let usual_mps = ((usual_mps * 100.0).round() / 100.0).min(vehicle.speed_limit_mps);
+    let speed_mps = args.speed.unwrap_or(usual_mps);
     let (usual_rad, mut turn_rad) = if args.compact { (0.2, 0.25) } else { (0.25, 0.0) };
     let mut steering_rad = args.steering.unwrap_or(usual_rad);
     // A car whose wheels turn less gets smaller steps, unless the user says how large they are.
@@ -72,6 +76,10 @@ pub(crate) fn excite(
         option("--set", &key);
     }
     option("--set", &format!("drive.loop_time_s={lasts_s:?}"));
+    if vehicle.speed_limit_mps < PATH_SPEED_MPS {
+        // Nobody follows the path, but its speed is one that the car must be able to drive.
+        option("--set", &format!("reference.speed_mps={:?}", vehicle.speed_limit_mps));
+    }
     for key in &args.set {
         option("--set", key);
     }

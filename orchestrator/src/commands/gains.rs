@@ -221,15 +221,18 @@ fn promote(
         say!("{}: {maneuver} has these gains already", file.display());
         return Ok(());
     }
-    let path_of = |it: &Provenance| it.path_hash.clone();
-    if let Some((then, now)) =
-        old.and_then(|old| path_of(old.provenance.as_ref()?)).zip(path_of(provenance))
-        && then != now
-        && !force
-    {
+    // Earlier versions did not note the path.
+    let is_same = |noted: &Provenance| match (&noted.path_hash, &provenance.path_hash) {
+        (Some(noted), Some(_)) => trained.config.is_path(noted),
+        (Some(_), None) => false,
+        // Earlier versions noted no path.
+        (None, Some(_)) => noted.maneuver == provenance.maneuver,
+        (None, None) => true,
+    };
+    if old.and_then(|old| old.provenance.as_ref()).is_some_and(|it| !is_same(it)) && !force {
         return Err(Failure::User(format!(
-            "{}: gains.{maneuver}: are for another path, whose file has the same name; give one of the files another name \
-             and train again, or insist with --force",
+            "{}: gains.{maneuver}: are for another path, which has the same name; give the path's file another name and \
+             train again, or insist with --force",
             file.display()
         )));
     }

@@ -40,8 +40,7 @@ pub fn vehicle_of(file: &Path) -> Result<Vehicle, Failure> {
     let name = file.to_str().ok_or_else(|| {
         Failure::User(format!("{}: the name of a vehicle's file must be UTF-8", file.display()))
     })?;
-    let mut layers = Layers::maneuver("lane_change")?;
-    layers.set_vehicle("--vehicle", name)?;
+    let layers = Layers::of_vehicle("--vehicle", name)?;
     if let Some(borrowed) = layers.borrowed() {
         tell_once(&borrowed);
     }

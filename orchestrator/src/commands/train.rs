@@ -17,7 +17,7 @@ use crate::words::Failure;
 use crate::words::terminal::tell_once;
 
 /// The tuner of `--simulate-first`.
-const SIMULATE_FIRST: &str = "simulate-first";
+pub(super) const SIMULATE_FIRST: &str = "simulate-first";
 
 /// Runs a training to its end, or resumes one that was interrupted.
 ///
@@ -78,6 +78,26 @@ fn resolved_before(folder: &Path, services: Services) -> Result<(RunConfig, Laun
 /// The distance from the path within which sets stay that are driven after they were simulated.
 const WITHIN: &str = "tuner.settings.within_m";
 
+/// Keeps a tuner that simulates first to sets that the supervisor would not stop, if nobody has said how near they are to
+/// stay: a small car is stopped before it is a metre off, and there a metre would let every set pass.
+pub(super) fn keep_within(layers: &mut Layers) -> Result<(), Failure> {
+    if layers.is_set(WITHIN) {
+        return Ok(());
+    }
+    let config = layers.clone().resolve()?;
+    let within_m = config.path_distance_limit_m().min(config.tuner.settings.number("within_m"));
+    Ok(layers.put("--simulate-first", WITHIN, within_m)?)
+}
+
+/// Refuses a tuner that has plants of its own together with others.
+pub(super) fn check_own_plants(config: &RunConfig) -> Result<(), Failure> {
+    if config.learning.tuner != SIMULATE_FIRST || config.plants() == 1 {
+        return Ok(());
+    }
+    let why = "over.by: the tuner simulate-first has plants of its own, tuner.settings.plants of them; leave it \"nominal\"";
+    Err(Failure::User(why.to_owned()))
+}
+
 /// The configuration of a training, from its options.
 ///
 /// # Errors
@@ -97,11 +117,8 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
             return Err(Failure::User(why.to_owned()));
         }
         layers.put("--within", WITHIN, within_m)?;
-    } else if tuner == Some(SIMULATE_FIRST) && !layers.is_set(WITHIN) {
-        // A small car is stopped before it is a metre off: there, a metre would let every set pass.
-        let config = layers.clone().resolve()?;
-        let within_m = config.path_distance_limit_m().min(config.tuner.settings.number("within_m"));
-        layers.put("--simulate-first", WITHIN, within_m)?;
+    } else if tuner == Some(SIMULATE_FIRST) {
+        keep_within(&mut layers)?;
     }
     if let Some(alphas) = &args.alphas {
         layers.put("--alphas", "run.alphas", alphas.clone())?;
@@ -123,7 +140,7 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
     }
     if let Some(drives) = args.drives {
         let config = layers.clone().resolve()?;
-        if !config.tuner.settings.0.contains_key("drives") {
+        if !config.tuner.has_budget() {
             return Err(Failure::User(format!(
                 "--drives: the tuner {} has no budget of drives; say how long it trains by --episodes and \
                  learning.step_limit, or choose another --tuner: see `pathtune config list`",
@@ -147,12 +164,10 @@ pub(crate) fn resolve_training(args: &TrainArgs, launch: &Launch) -> Result<RunC
             config.learning.tuner
         ));
     }
-    if config.learning.tuner == SIMULATE_FIRST && config.plants() > 1 {
-        let why = "over.by: the tuner simulate-first has plants of its own, tuner.settings.plants of them; leave it \"nominal\"";
-        return Err(Failure::User(why.to_owned()));
-    }
+    check_own_plants(&config)?;
     // Drives that do not repeat must not stand in for each other.
-    config.run.memo &= launch.repeats() && !config.run.realtime;
+    config.run.repeats &= launch.repeats() && !config.run.realtime;
+    config.run.memo &= config.run.repeats;
     if config.noise.enabled && config.robust.engage_gear {
         config.vehicle.gear_engaged = true;
     }

@@ -69,13 +69,13 @@ pub(super) fn print(
             );
             note_off_grid(rows.iter().any(|row| row.off_grid), grid.size)?;
         }
+        (None, Some(_)) if config.tuner.has_budget() => {
+            say!("not ranked: the vehicle makes no more drives than its budget");
+        }
         (None, Some(drives)) if drives.by_clock => say!(
             "not ranked: the vehicle paces by the clock, so the {} sets of the grid are not driven",
             config.grid().len()
         ),
-        (None, Some(_)) if it.simulated_first.is_some() => {
-            say!("not ranked: the vehicle makes no more drives than its budget");
-        }
         (None, _) => say!(
             "not ranked: the grid of {} sets takes more ticks than ranking.max_ticks",
             config.grid().len()
@@ -83,8 +83,9 @@ pub(super) fn print(
     }
     say_effort("steering of the tuned set", &it.measures, config)?;
     // Under noise and over plants, other drives than this one choose.
-    let by_one_drive = it.noise.is_none();
-    if by_one_drive && !it.measures.broken_limits(&config.objective.limits).is_empty() {
+    // Learners vote for a set; a search takes the least value that it has seen.
+    let is_least = it.noise.is_none() && config.tuner.has_budget();
+    if is_least && !it.measures.broken_limits(&config.objective.limits).is_empty() {
         say!("  no set was found that keeps all limits: it would rank before this one");
     }
     baselines::print(it, config)?;
@@ -260,7 +261,8 @@ fn print_choice_by_means(
         noise.repeats,
         if config.noise.enabled || is_over_plants { " that chose nothing" } else { "" },
         if is_over_plants { "first" } else { "best" },
-        noise.finalists.len(),
+        // The paper's set stands beside them, wherever the training never was.
+        noise.finalists.iter().filter(|it| it.visits > 0).count().max(1),
         match is_over_plants {
             true => format!("on {} other plants", noise.choosing),
             false => format!("in {} drives each", noise.choosing),

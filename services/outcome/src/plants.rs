@@ -12,6 +12,9 @@ use crate::ParameterTable;
 pub struct PlantCheck {
     /// Mean distance from the path with the vehicle as its file has it.
     pub path_mean_m: f64,
+    /// Largest distance from the path with the vehicle as its file has it. Null in results of earlier versions.
+    #[serde(default)]
+    pub path_max_m: Option<f64>,
     /// The largest value of the objective on a plant.
     pub worst_value: f64,
     /// Why the set is fragile: a plant more than doubles its mean distance from the path, beyond 0.1 m for a car of full

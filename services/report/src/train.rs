@@ -142,10 +142,10 @@ fn notes(train: &TrainResult, run: &RunResult, config: &RunConfig) -> Markup {
                         (integer(grid.size as u64)) "."
                     }
                 }
+            } @else if train.vehicle_drives.is_some() && config.tuner.has_budget() {
+                li { "There are no ranks: the vehicle makes no more drives than its budget." }
             } @else if train.vehicle_drives.is_some_and(|drives| drives.by_clock) {
                 li { "There are no ranks: the vehicle paces by the clock, so the sets of the grid are not driven." }
-            } @else if train.vehicle_drives.is_some() && train.simulated_first.is_some() {
-                li { "There are no ranks: the vehicle makes no more drives than its budget." }
             } @else {
                 li {
                     "There are no ranks: the grid takes more ticks than ranking.max_ticks ("

@@ -19,7 +19,7 @@ pub(crate) fn section(
     html! {
         ul {
             li { b { "Chosen" } ": " (parameters_text(&config.law, &train.gains)) " of the law " (config.law.name) "." }
-            li { b { "Distance from the path" } ": " (distance(train)) }
+            li { b { "Distance from the path" } ": " (distance(train, config)) }
             li { b { "Against textbook sets" } ": " (against(train)) }
             li { b { "On a car that is a little different" } ": " (robust(train)) }
             li { b { "It rests on" } ": " (evidence(train, config)) }
@@ -31,24 +31,23 @@ pub(crate) fn section(
     }
 }
 
-fn distance(train: &TrainResult) -> String {
-    let of = |mean_m: f64, max_m: f64, whose: &str| {
-        format!("{} m on average and {} m at most {whose}", number(mean_m, 3), number(max_m, 3))
-    };
-    let (mean_m, max_m) = (train.measures.path_mean_m, train.measures.path_max_m);
+fn distance(train: &TrainResult, config: &RunConfig) -> String {
+    let own = (train.measures.path_mean_m, Some(train.measures.path_max_m));
     // Over plants, the set's own figures are those over them.
-    let alone = train.plants.as_ref().and_then(|check| check.plants.first());
-    let nominal = match (train.vehicle_drives.is_some(), alone) {
-        (true, _) => of(mean_m, max_m, "in drives of the vehicle"),
-        (false, Some(alone)) => {
-            of(alone.path_mean_m, alone.path_max_m, "with the vehicle as its file has it")
+    let ((mean_m, max_m), whose) = match (&train.plants, train.vehicle_drives.is_some()) {
+        (_, true) => (own, "in drives of the vehicle"),
+        (Some(it), false) => {
+            ((it.path_mean_m, it.path_max_m), "with the vehicle as its file has it")
         }
-        (false, None) => of(mean_m, max_m, "with the vehicle as its file has it"),
+        (None, false) => (own, "with the vehicle as its file has it"),
     };
-    let nominal = match train.measures.arrived {
-        true => nominal,
-        false => format!("{nominal}, and it did not arrive"),
+    let at_most = max_m.map_or(String::new(), |it| format!(" and {} m at most", number(it, 3)));
+    let arrived = if train.measures.arrived || !config.is_to_arrive() {
+        ""
+    } else {
+        ", and it did not arrive"
     };
+    let nominal = format!("{} m on average{at_most} {whose}{arrived}", number(mean_m, 3));
     match &train.plants {
         Some(check) => format!(
             "{nominal}; {} m on average in the worst of {} plants that were drawn anew{}{}.",
@@ -57,6 +56,7 @@ fn distance(train: &TrainResult) -> String {
             if train.vehicle_drives.is_some() { ", in our simulator" } else { "" },
             match check.fresh.not_arrived {
                 0 => String::new(),
+                _ if !config.is_to_arrive() => String::new(),
                 missed => format!(", on {missed} of which it does not arrive"),
             }
         ),
@@ -108,7 +108,8 @@ fn evidence(train: &TrainResult, config: &RunConfig) -> String {
         1 => String::new(),
         count => format!(", each on {count} plants"),
     };
-    let drives = format!("{} sets that were driven{plants}", integer(train.distinct));
+    let what = if config.drives_differ() { "drives" } else { "sets that were driven" };
+    let drives = format!("{} {what}{plants}", integer(train.distinct));
     let noise = match &train.noise {
         Some(noise) if config.noise.enabled || config.is_over_plants() => {
             let noisy = if config.noise.enabled { "noisy " } else { "" };
@@ -153,7 +154,7 @@ fn next(
         format!("pathtune compare {of}"),
         "tells how many drives other tuners need for as good a set",
     ));
-    if !is_fragile && train.measures.arrived {
+    if !is_fragile && (train.measures.arrived || !config.is_to_arrive()) {
         let file = option(run, "--vehicle").filter(|it| it.contains('.') || it.contains('/'));
         let file = file.map_or_else(|| "car.toml".to_owned(), |it| quoted(&it));
         next.push((

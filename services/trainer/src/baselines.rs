@@ -22,7 +22,8 @@ pub(crate) fn baselines(
         .textbook_sets()
         .iter()
         .map(|it| {
-            let drive = PlantRollouts::of_ranking(&it.config).drive(it.parameters, None);
+            let drive =
+                PlantRollouts::of_ranking(&it.config, *objective).drive(it.parameters, None);
             Baseline {
                 law: it.config.law.name.clone(),
                 compensated: it.compensated,

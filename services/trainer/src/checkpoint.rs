@@ -28,7 +28,7 @@ const PART: &str = "checkpoint.part";
 /// The largest file that is taken for a checkpoint.
 const MOST_BYTES: u64 = 128 << 20;
 /// Raised whenever a tuner saves something else than before.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Time between two checkpoints, and so between two syncs of the journal: what a power cut may cost.
 const INTERVAL_NS: u64 = 1_000_000_000;
 /// Making a checkpoint holds up the training: one that takes long is made less often, after this many times as long.

@@ -78,12 +78,15 @@ pub fn compare(
     check_grid(config)?;
     let mut yardstick = Yardstick::new(config, |done, all| each(Progress::Grid { done, all }));
     let mut tuners: Vec<TunerCourses> = Vec::new();
+    // The seed spreads those within a vehicle's stated intervals, but all trainings are judged on the same ones.
+    let plants = config.named_plants();
     for config in configs {
         let mut of_tuner = Vec::new();
         let tuner = config.learning.tuner.as_str();
         for number in 0..seeds {
             let mut config = config.clone();
             config.run.seed = config.run.seed.wrapping_add(number);
+            config.over.plants.clone_from(&plants);
             of_tuner.push((config.run.seed, yardstick.course(&config, drives)?));
             each(Progress::Trainings { tuner, done: number + 1 });
         }
@@ -106,7 +109,7 @@ pub fn course(config: &RunConfig, drives: u32) -> Result<Course, String> {
     check_grid(config)?;
     let mut config = config.clone();
     // By plain calls the same drive is the same again.
-    config.run.memo = true;
+    (config.run.memo, config.run.repeats) = (true, true);
     Yardstick::new(&config, |_, _| {}).course(&config, drives)
 }
 
@@ -216,9 +219,9 @@ enum Truth {
 }
 
 impl Truth {
-    fn new(config: &RunConfig) -> Self {
+    fn new(config: &RunConfig, objective: Objective) -> Self {
         if config.is_noisy_over_plants() {
-            let with = |purpose, repeats| PlantRollouts::with(config, purpose, repeats);
+            let with = |purpose, repeats| PlantRollouts::with(config, objective, purpose, repeats);
             return Self::OverPlants(Box::new([
                 with(Purpose::Telling, DRIVES_OF_PLANT),
                 with(Purpose::Choosing, DRIVES_OF_BEST_PLANT),
@@ -226,7 +229,7 @@ impl Truth {
         }
         match config.noise.enabled {
             true => Self::Noisy(Box::new(Rollout::new(config))),
-            false => Self::NoiseFree(Box::new(PlantRollouts::of_ranking(config))),
+            false => Self::NoiseFree(Box::new(PlantRollouts::of_ranking(config, objective))),
         }
     }
 }
@@ -248,7 +251,7 @@ impl Yardstick {
     fn new(config: &RunConfig, mut each: impl FnMut(usize, usize)) -> Self {
         let ranking = Ranking::by_rollout(config);
         let mut it = Self {
-            truth: Truth::new(config),
+            truth: Truth::new(config, *ranking.objective()),
             objective: *ranking.objective(),
             ranking,
             of_grid: Vec::new(),
@@ -383,7 +386,8 @@ impl Yardstick {
         let mut training = Training::new(config, self.objective);
         while training.prepare()? < 1.0 {}
         // The noise over plants is that of the training's own seed.
-        let mut own = config.is_noisy_over_plants().then(|| PlantRollouts::new(config));
+        let mut own =
+            config.is_noisy_over_plants().then(|| PlantRollouts::new(config, self.objective));
         let (mut driven, mut better, mut recommended) = (0, Vec::<(u32, f64)>::new(), Vec::new());
         'drives: loop {
             training.remember(usize::MAX, |_| {});
@@ -466,7 +470,7 @@ mod tests {
             layers.set(&format!("learning.tuner={tuner}")).unwrap();
             words[4..].iter().for_each(|set| layers.set(set).unwrap());
             let config = layers.clone().resolve().unwrap();
-            if config.tuner.settings.0.contains_key("drives") {
+            if config.tuner.has_budget() {
                 layers.set(&format!("tuner.settings.drives={}", words[3])).unwrap();
             }
             layers.resolve().unwrap()

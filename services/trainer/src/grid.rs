@@ -15,6 +15,7 @@ use crate::Ranking;
 use crate::digest::digest_of_drives;
 use crate::over::{Judge, Purpose};
 use crate::plants::{ALTERNATIVES, check};
+use crate::ranking::of_plants;
 use crate::result::on_bound;
 use crate::statistics::mean;
 use crate::sweep::PlannedDrive;
@@ -84,7 +85,7 @@ impl GridSweep {
     /// # Errors
     /// If that file cannot be written.
     pub fn finish(&self, folder: &Path, driven: &[Option<Driven>]) -> Result<GridResult> {
-        let judge = Judge::new(&self.config);
+        let judge = Judge::new(&self.config, of_plants(&self.config));
         // A set counts once all of its drives were made.
         let together = |drives: &[Option<Driven>]| {
             let all: Option<Vec<DriveRecord>> =

@@ -49,25 +49,30 @@ pub(crate) struct PlantRollouts {
 }
 
 impl PlantRollouts {
-    /// The drives of a step of a training.
-    pub(crate) fn new(config: &RunConfig) -> Self {
-        Self::with(config, Purpose::Training, config.drives_of_plant())
+    /// The drives of a step of a training. `objective` judges those of several plants together.
+    pub(crate) fn new(config: &RunConfig, objective: Objective) -> Self {
+        Self::with(config, objective, Purpose::Training, config.drives_of_plant())
     }
 
     /// Those by which sets are compared that a training has found: one on each plant.
-    pub(crate) fn of_ranking(config: &RunConfig) -> Self {
-        Self::with(config, Purpose::Ranking, 1)
+    pub(crate) fn of_ranking(config: &RunConfig, objective: Objective) -> Self {
+        Self::with(config, objective, Purpose::Ranking, 1)
     }
 
     /// Those for a purpose, so many on each plant.
-    pub(crate) fn with(config: &RunConfig, purpose: Purpose, repeats: usize) -> Self {
+    pub(crate) fn with(
+        config: &RunConfig,
+        objective: Objective,
+        purpose: Purpose,
+        repeats: usize,
+    ) -> Self {
         let rollouts: Vec<Rollout> = match config.over.by {
             OverBy::Nominal => vec![Rollout::new(config)],
             _ => config.plant_changes().iter().map(|it| on_plant(config, it)).collect(),
         };
         let count = if config.is_noisy_over_plants() { repeats * rollouts.len() } else { 0 };
         let seeds = (0..count).map(|drive| purpose.seed(config, drive)).collect();
-        Self { rollouts, judge: Judge::new(config), seeds }
+        Self { rollouts, judge: Judge::new(config, objective), seeds }
     }
 
     /// The drive with a set; over plants, what the drives come to together. `noise_seed` is for the configured vehicle
@@ -102,12 +107,9 @@ pub(crate) struct Judge {
 }
 
 impl Judge {
-    pub(crate) fn new(config: &RunConfig) -> Self {
-        Self::by_objective(config, Objective::new(config))
-    }
-
-    /// The same by an objective that knows what it needs.
-    pub(crate) fn by_objective(config: &RunConfig, objective: Objective) -> Self {
+    /// Judges by an objective that knows all that it needs.
+    pub(crate) fn new(config: &RunConfig, objective: Objective) -> Self {
+        debug_assert!(config.over.by == OverBy::Nominal || !objective.needs_grid());
         Self { by: config.over.by, objective }
     }
 
@@ -127,5 +129,38 @@ impl Judge {
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let rank = libm::ceil(share * drives.len() as f64) as usize;
         drives[order[rank.max(1) - 1].1]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use config::{Axis, Layers};
+
+    use super::*;
+    use crate::objective_of;
+
+    #[test]
+    fn the_worst_plant_is_found_by_an_objective_whose_scales_are_the_grid_s() {
+        let mut layers = Layers::maneuver("lane_change").unwrap();
+        layers.set("objective=weighted").unwrap();
+        layers.set("over.by=worst").unwrap();
+        let mut config = layers.resolve().unwrap();
+        for axis in config.grid.values_mut() {
+            *axis = Axis { max: axis.min + axis.step, ..*axis };
+        }
+        let objective = objective_of(&config);
+        assert!(!objective.needs_grid());
+        let set = config.paper_set().unwrap();
+        let changes = config.plant_changes();
+        let values: Vec<f64> = changes
+            .iter()
+            .map(|it| objective.of(&on_plant(&config, it).drive(set, None)))
+            .collect();
+        let worst = values.iter().copied().fold(0.0, f64::max);
+        assert!(worst.is_finite() && values.iter().any(|it| *it < 0.9 * worst), "{values:?}");
+        let together = PlantRollouts::of_ranking(&config, objective).drive(set, None);
+        assert_eq!(objective.of(&together), worst);
+        let ranking = crate::Ranking::by_rollout(&config);
+        assert_eq!(*ranking.objective(), objective);
     }
 }

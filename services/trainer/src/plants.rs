@@ -151,6 +151,7 @@ pub(crate) fn check(
     });
     PlantCheck {
         path_mean_m: plain.path_mean_m,
+        path_max_m: Some(plain.path_max_m),
         worst_value: worst(&values),
         fragile: (!reasons.is_empty()).then(|| reasons.join("; and ")),
         margin: Some(margin),
@@ -302,6 +303,9 @@ pub(crate) fn drawn(changes: &[PlantChange], random: &mut Stream) -> PlantChange
             let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), by| {
                 (low.min(by), high.max(by))
             });
+            // Where all plants agree, there are none between them but those towards the vehicle as its file has it.
+            let (low, high) =
+                if low == high { (low.min(none), high.max(none)) } else { (low, high) };
             low + random.uniform() * (high - low)
         };
         keys.into_iter().map(|key| (key.clone(), between(key))).collect()

@@ -19,6 +19,22 @@ fn a_speed_counts_that_is_held_and_not_the_peak_of_a_moment() {
 }
 
 #[test]
+fn of_a_single_plant_those_that_are_drawn_lie_between_it_and_the_vehicle_s_file() {
+    let late = |s: f64| config::PlantChange {
+        add: [("steering_delay_s".to_owned(), s)].into(),
+        ..config::PlantChange::default()
+    };
+    let drawn = |changes: &[config::PlantChange]| -> Vec<f64> {
+        let mut random = crate::rng::Stream::new(1, 2);
+        (0..20).map(|_| super::drawn(changes, &mut random).add["steering_delay_s"]).collect()
+    };
+    let of_one = drawn(&[late(0.1)]);
+    assert!(of_one.iter().all(|it| (0.0..=0.1).contains(it)));
+    assert!(of_one.iter().any(|it| *it < 0.03) && of_one.iter().any(|it| *it > 0.07));
+    assert!(drawn(&[late(0.1), late(0.2)]).iter().all(|it| (0.1..=0.2).contains(it)));
+}
+
+#[test]
 fn over_plants_a_set_without_margin_counts_as_worse_to_a_search() {
     let config = |over: &str| {
         let mut layers = Layers::maneuver("roundabout").unwrap();

@@ -2,8 +2,9 @@
 
 use std::cmp::Ordering;
 
-use config::{Grid, Parameters, RunConfig};
+use config::{Grid, OverBy, Parameters, RunConfig};
 use outcome::{Measures, Spread};
+use rollout::Rollout;
 use tracking::{DriveRecord, Objective};
 
 use crate::over::PlantRollouts;
@@ -17,10 +18,26 @@ pub fn grid_is_driven(config: &RunConfig) -> bool {
     ticks <= u128::from(config.ranking.max_ticks)
 }
 
-/// The objective of a configuration, with the grid's drives given to it if it needs them.
+/// The objective of a configuration, with the grid's drives given to it if it needs them: those of the vehicle as its file
+/// has it, over plants as well, because what they come to together is judged by it.
 pub fn objective_of(config: &RunConfig) -> Objective {
-    let objective = Objective::new(config);
-    if objective.needs_grid() { *Ranking::by_rollout(config).objective() } else { objective }
+    let mut objective = Objective::new(config);
+    if objective.needs_grid() {
+        let mut rollout = Rollout::new(config);
+        let grid = config.grid();
+        let drives = grid.positions().map(|position| rollout.drive(grid.set(position), None));
+        objective.take_grid(&drives.collect::<Vec<_>>());
+    }
+    objective
+}
+
+/// The objective by which drives on several plants become one; that of a single vehicle, which needs none, has not been
+/// given the drives of the grid.
+pub(crate) fn of_plants(config: &RunConfig) -> Objective {
+    match config.over.by {
+        OverBy::Nominal => Objective::new(config),
+        _ => objective_of(config),
+    }
 }
 
 /// The drives of every set of the grid, if the grid is driven; and the objective. They are noise-free, but over plants with
@@ -52,7 +69,7 @@ impl Ranking {
     pub fn by_rollout(config: &RunConfig) -> Self {
         let grid = config.grid();
         let drives = if grid_is_driven(config) {
-            let mut rollout = PlantRollouts::of_ranking(config);
+            let mut rollout = PlantRollouts::of_ranking(config, of_plants(config));
             grid.positions().map(|position| rollout.drive(grid.set(position), None)).collect()
         } else {
             Vec::new()
@@ -62,7 +79,7 @@ impl Ranking {
 
     /// A ranking by given drives: one for each set of the grid, in its order, or none at all.
     pub(crate) fn of_drives(config: &RunConfig, drives: Vec<DriveRecord>) -> Self {
-        let mut objective = Objective::new(config);
+        let mut objective = of_plants(config);
         if objective.needs_grid() {
             objective.take_grid(&drives);
         }
@@ -134,7 +151,9 @@ impl Ranking {
         let of_grid = self.index_of(parameters).and_then(|index| self.drives.get(index));
         of_grid.copied().unwrap_or_else(|| match &self.own {
             Some(own) => own.of(parameters)[0],
-            None => PlantRollouts::of_ranking(&self.config).drive(*parameters, None),
+            None => {
+                PlantRollouts::of_ranking(&self.config, self.objective).drive(*parameters, None)
+            }
         })
     }
 

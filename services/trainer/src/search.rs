@@ -115,8 +115,11 @@ impl<M: Method> Search<M> {
     /// A search at its first drive. The tuner has the settings `drives`, `repeats`, `learners` and `draw`.
     pub(crate) fn new(config: &RunConfig, method: impl FnOnce(&mut Space) -> M) -> Self {
         let mut space = Space::new(config);
-        let repeats =
-            if space.noise { config.tuner.settings.number("repeats") as usize } else { 1 };
+        let repeats = if config.steps_differ() {
+            config.tuner.settings.number("repeats") as usize
+        } else {
+            1
+        };
         let budget = (config.tuner.settings.number("drives") as usize).max(1);
         let mut search = Self {
             config: config.clone(),
@@ -149,7 +152,8 @@ impl<M: Method> Search<M> {
     /// Fills the slots with the drives of the next generation; leaves them empty if the search is over.
     fn propose(&mut self) {
         let room = self.budget.saturating_sub(self.spent()) / self.repeats;
-        if room == 0 || self.space.is_finished() {
+        // Under noise, sets that are known may be driven again.
+        if room == 0 || (!self.space.noise && self.space.is_finished()) {
             return;
         }
         let mut barren = 0;

@@ -128,7 +128,7 @@ impl Trainer {
         let (training, lengths) =
             checkpoint::take_up(&folder, &configuration, &config, &mut journal, new)?;
         let story = Story::open(&folder, &config.law, config.learning.heading_weight, lengths)?;
-        let parts = Parts::new(&config);
+        let parts = Parts::new(&config, *training.objective());
         Ok(Self {
             outcomes: bus.inlet()?,
             requests: bus.inlet()?,

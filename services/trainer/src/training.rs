@@ -47,6 +47,8 @@ pub struct Training {
     noise: bool,
     /// The drives that were made, by their set; `None` if none is remembered. If no two drives are the same, none is.
     memory: Option<HashMap<[u64; MAX_PARAMETERS], DriveRecord>>,
+    /// The drives of a budget that no memory holds, in their order; `None` without a budget.
+    driven: Option<Vec<(Parameters, DriveRecord)>>,
     /// What each learner has received.
     received: Vec<Received>,
     /// Number of drives and the sum of their values, by set and learner. Kept learner by learner, because the order in
@@ -63,6 +65,7 @@ pub(crate) struct SavedTraining {
     tuner: Vec<u8>,
     received: Vec<Vec<u8>>,
     memory: Option<Vec<(Vec<f64>, DriveRecord)>>,
+    driven: Option<Vec<(Vec<f64>, DriveRecord)>>,
     visited: Vec<(Vec<f64>, Visits)>,
 }
 
@@ -70,13 +73,15 @@ impl Training {
     /// A training at its first step, whose drives are judged by `objective`.
     pub fn new(config: &RunConfig, objective: Objective) -> Self {
         let tuner = tuner(&config.learning.tuner, config);
+        let remembers = config.run.memo && !config.drives_differ();
         Self {
             law: config.law.clone(),
             received: vec![Received::default(); tuner.learners() as usize],
             tuner,
             objective,
-            noise: config.steps_differ(),
-            memory: (config.run.memo && !config.steps_differ()).then(HashMap::new),
+            noise: config.drives_differ(),
+            memory: remembers.then(HashMap::new),
+            driven: (!remembers && config.tuner.has_budget()).then(Vec::new),
             visited: HashMap::new(),
         }
     }
@@ -93,6 +98,9 @@ impl Training {
                 .memory
                 .as_ref()
                 .map(|memory| memory.iter().map(|(bits, drive)| (values(bits), *drive)).collect()),
+            driven: self.driven.as_ref().map(|driven| {
+                driven.iter().map(|(set, drive)| (values(&set.to_bits()), *drive)).collect()
+            }),
             visited: self
                 .visited
                 .iter()
@@ -108,7 +116,7 @@ impl Training {
         objective: Objective,
         saved: SavedTraining,
     ) -> Option<Self> {
-        let SavedTraining { tuner, received, memory, visited } = saved;
+        let SavedTraining { tuner, received, memory, driven, visited } = saved;
         let mut training = Self::new(config, objective);
         let learners = training.received.len();
         let count = training.law.count();
@@ -129,6 +137,13 @@ impl Training {
             return None;
         }
         training.memory = memory;
+        let set = |values: &[f64]| (values.len() == count).then(|| Parameters::of(values));
+        training.driven = match driven {
+            Some(driven) => Some(
+                driven.iter().map(|(it, drive)| Some((set(it)?, *drive))).collect::<Option<_>>()?,
+            ),
+            None => None,
+        };
         training.visited = visited
             .into_iter()
             .map(|(values, of_learners)| {
@@ -217,12 +232,23 @@ impl Training {
         if let Some(memory) = &mut self.memory {
             memory.insert(ask.parameters.to_bits(), drive);
         }
+        if let Some(driven) = &mut self.driven {
+            driven.push((ask.parameters, drive));
+        }
         Some(self.tell(ask, drive, false))
     }
 
     /// The drive with a set that memory holds; never one with noise.
     pub(crate) fn remembered(&self, parameters: &Parameters) -> Option<&DriveRecord> {
         self.memory.as_ref()?.get(&parameters.to_bits())
+    }
+
+    /// The drives that were made one by one, of all sets; without memory those of a budget alone.
+    pub(crate) fn driven(&self) -> Vec<(Parameters, DriveRecord)> {
+        self.driven.clone().unwrap_or_else(|| {
+            let known = |it: &VisitedSet| Some((it.parameters, *self.remembered(&it.parameters)?));
+            self.visited().iter().filter_map(known).collect()
+        })
     }
 
     fn tell(&mut self, ask: Ask, drive: DriveRecord, remembered: bool) -> Taken {
@@ -298,8 +324,9 @@ pub fn train_offline(
 
 /// A whole training by plain calls: no process, no shared memory. The oracle of the pipeline.
 pub fn train_by_rollout(config: &RunConfig) -> Training {
-    let mut rollout = PlantRollouts::new(config);
-    train_offline(config, crate::objective_of(config), |ask| {
+    let objective = crate::objective_of(config);
+    let mut rollout = PlantRollouts::new(config, objective);
+    train_offline(config, objective, |ask| {
         let noise = config.steps_differ().then_some(ask.seed);
         rollout.drive(ask.parameters, noise)
     })

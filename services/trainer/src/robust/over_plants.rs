@@ -115,7 +115,7 @@ impl Finalists {
         sets: &[Visited],
         progress: impl Fn(f64) + Sync,
     ) -> Vec<Rank> {
-        let judge = Judge::by_objective(config, *objective);
+        let judge = Judge::new(config, *objective);
         let is_to_arrive = config.is_to_arrive();
         drives_on(config, plants, Purpose::Choosing, &parameters(sets), progress)
             .iter()

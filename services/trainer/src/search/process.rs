@@ -117,12 +117,22 @@ struct Repeats {
     scatter: f64,
 }
 
+/// Square of the share of a value by which its drives may differ from it for noise.
+const MOST_SCATTER: f64 = 0.5;
+
 impl Repeats {
+    /// Drives of one point that differ by more than noise, as where some arrive and others do not, tell nothing of the noise
+    /// of all others.
     fn of(readings: &[Reading], scale: f64) -> Self {
-        Self {
-            count: readings.iter().map(|it| f64::from(it.drives) - 1.0).sum(),
-            scatter: readings.iter().map(|it| it.scatter).sum::<f64>() / (scale * scale),
+        let mut all = Self { count: 0.0, scatter: 0.0 };
+        for it in readings {
+            let count = f64::from(it.drives) - 1.0;
+            if it.scatter <= MOST_SCATTER * count {
+                all.count += count;
+                all.scatter += it.scatter / (scale * scale);
+            }
         }
+        all
     }
 }
 
@@ -258,12 +268,13 @@ fn square(it: f64) -> f64 {
     it * it
 }
 
-/// The values less their mean, in units of their standard deviation; and these two.
+/// The values less their mean, in units of their standard deviation; and these two. A single value, from which nothing
+/// deviates, is in units of its own: values are logarithms, so it is believed up to some factors of e.
 fn standardised(readings: &[Reading]) -> (Vec<f64>, f64, f64) {
     let count = readings.len().max(1) as f64;
     let mean = readings.iter().map(|it| it.value).sum::<f64>() / count;
     let spread = readings.iter().map(|it| square(it.value - mean)).sum::<f64>() / count;
-    let scale = spread.sqrt().max(1e-9);
+    let scale = if readings.len() > 1 { spread.sqrt().max(1e-9) } else { 1.0 };
     (readings.iter().map(|it| (it.value - mean) / scale).collect(), mean, scale)
 }
 
@@ -351,6 +362,23 @@ mod tests {
             let told = Process::new(Shape::of(&readings, true), &readings).noise();
             assert!((told / sd - 1.0).abs() < 0.2, "{told} for {sd}");
         }
+    }
+
+    #[test]
+    fn a_set_with_which_only_some_drives_arrive_tells_nothing_of_the_noise_of_all() {
+        let again = |it: Reading| Reading { drives: 4, scatter: 3.0 * 0.03 * 0.03, ..it };
+        let mut readings: Vec<Reading> = readings(10).into_iter().map(again).collect();
+        readings[3].scatter = 6.0;
+        let told = Process::new(Shape::of(&readings, true), &readings).noise();
+        assert!((told / 0.03 - 1.0).abs() < 0.2, "{told}");
+    }
+
+    #[test]
+    fn a_single_reading_is_not_believed_exactly() {
+        let one = &readings(1)[..];
+        let (mean, sd) =
+            Process::new(Shape::of(one, true), one).predict(&[one[0].point.clone()])[0];
+        assert!((mean - one[0].value).abs() < 1.0 && sd > 0.1, "{mean} {sd}");
     }
 
     #[test]

@@ -50,7 +50,7 @@ impl Space {
         Self {
             cube: Cube::new(config),
             rng: Stream::new(config.run.seed, 0),
-            noise: config.steps_differ(),
+            noise: config.drives_differ(),
             known: Vec::new(),
             numbers: HashMap::new(),
         }

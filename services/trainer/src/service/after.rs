@@ -7,7 +7,6 @@ use config::Parameters;
 use ipc_types::{DriveRequest, LearnerProgress, Proposal, has};
 use outcome::{Outcome, TrainResult, VehicleDrives};
 use runtime::clock::now_ns;
-use tracking::DriveRecord;
 
 use super::{Trainer, TrainingStage, write_outcome};
 use crate::own_drives::{Driver, recommended};
@@ -48,8 +47,8 @@ impl Trainer {
     pub(super) fn after_training(&mut self) -> Result<()> {
         self.story.flush()?;
         self.checkpoints.finish()?;
-        if let Some(driven) = self.training.tuner().driven() {
-            return self.rank_few(driven);
+        if self.is_dear() || self.training.tuner().chooses() {
+            return self.rank_few();
         }
         if self.config.is_over_plants() && self.driver == Driver::Simulator {
             return self.rank(None);
@@ -78,18 +77,22 @@ impl Trainer {
 
     /// Whether the budget of drives is so small that no drives beside it may choose among finalists.
     fn is_few(&self) -> bool {
-        let settings = &self.config.tuner.settings;
-        settings.0.contains_key("drives") && settings.number("drives") < FEW_DRIVES
+        let tuner = &self.config.tuner;
+        tuner.has_budget() && tuner.settings.number("drives") < FEW_DRIVES
     }
 
-    /// Goes on without any further drive of a vehicle that is not our simulator: its few drives are all that it makes.
-    fn rank_few(&mut self, driven: Vec<(Parameters, Vec<DriveRecord>)>) -> Result<()> {
+    /// Whether a vehicle that is not our simulator makes the drives of a budget: then it makes no others, for whatever.
+    fn is_dear(&self) -> bool {
+        self.driver != Driver::Simulator && self.config.tuner.has_budget()
+    }
+
+    /// Goes on without any further drive of a vehicle that is not our simulator: those of its budget are all that it makes.
+    fn rank_few(&mut self) -> Result<()> {
         let choice = Choice::recommended(recommended(&self.training));
         let Driver::Vehicle { repeats } = self.driver else { return self.rank(Some(choice)) };
         let mut own = OwnDrives::default();
-        for (set, drives) in driven {
-            drives.into_iter().for_each(|drive| own.add(&set, drive));
-        }
+        let driven = self.training.driven();
+        driven.iter().for_each(|(set, drive)| own.add(set, *drive));
         let drives = VehicleDrives { repeats, by_clock: false, for_table: 0, of_grid_set: 0 };
         self.rank_own(Table { choice, own, drives, waits_for_pace: false })
     }
@@ -269,8 +272,7 @@ impl Trainer {
         }
         let Chosen { parameters, result } =
             thread.join().map_err(|_| anyhow!("the ranking panicked"))??;
-        if self.driver != Driver::Simulator && self.training.tuner().driven().is_some() {
-            // The last of its drives was with this set already; the vehicle's time is dear.
+        if self.is_dear() {
             return self.end(Box::new(result)).map(|()| true);
         }
         let drives = [("tuned_noise_free", None), ("tuned_noisy", Some(1))]

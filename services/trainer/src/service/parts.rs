@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use config::{OverBy, RunConfig};
 use ipc_types::DriveReport;
-use tracking::DriveRecord;
+use tracking::{DriveRecord, Objective};
 
 use crate::over::{Judge, Purpose};
 use crate::tuners::Ask;
@@ -25,13 +25,13 @@ pub(super) struct Parts {
 }
 
 impl Parts {
-    pub(super) fn new(config: &RunConfig) -> Self {
+    pub(super) fn new(config: &RunConfig, objective: Objective) -> Self {
         let seeds = 0..config.drives_of_step();
         Self {
             of_plant: config.drives_of_plant() as u32,
             seeds: seeds.map(|drive| Purpose::Training.seed(config, drive)).collect(),
             is_nominal: config.over.by == OverBy::Nominal,
-            judge: Judge::new(config),
+            judge: Judge::new(config, objective),
             come: HashMap::new(),
         }
     }
@@ -99,7 +99,7 @@ mod tests {
         let config = layers.resolve().unwrap();
         let ask = |learner, step| Ask { learner, step, parameters: Parameters::default(), seed: 0 };
         let wanted = [ask(0, 3), ask(1, 2)];
-        let mut parts = Parts::new(&config);
+        let mut parts = Parts::new(&config, Objective::new(&config));
         let asked = parts.of(&wanted);
         assert_eq!(asked.len(), 18);
         assert!(asked.iter().all(|(ask, learner, plant)| *learner == ask.learner * 9 + plant - 1));

@@ -11,7 +11,7 @@ mod told;
 
 pub(crate) use belief::{Belief, Reading};
 pub(crate) use ensemble::{Candidate, Ensemble};
-pub(crate) use told::{Driven, by_set, simulated_first};
+pub(crate) use told::{Driven, simulated_first};
 
 /// The least value that has a logarithm of its own.
 const LEAST: f64 = 1e-9;

@@ -1,7 +1,5 @@
 //! What a training that simulated first says of its choice: by the vehicle's drives, and by plants that chose nothing.
 
-use std::collections::BTreeMap;
-
 use config::{Parameters, RunConfig};
 use outcome::{FreshDrives, OfDrives, SimulatedFirst, TextbookDriven};
 use tracking::{DriveRecord, Objective};
@@ -159,15 +157,4 @@ fn fresh(
 fn at(values: &mut [f64], share: f64) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     values[(libm::ceil(share * values.len() as f64) as usize).max(1) - 1]
-}
-
-/// The drives of the vehicle by set, in the order in which they were made.
-pub(crate) fn by_set(
-    ensemble: &Ensemble,
-    driven: &[Driven],
-) -> Vec<(Parameters, Vec<DriveRecord>)> {
-    let mut sets: BTreeMap<u32, Vec<DriveRecord>> = BTreeMap::new();
-    driven.iter().for_each(|it| sets.entry(it.candidate).or_default().push(it.record));
-    let set = |number: u32| ensemble.candidates()[number as usize].set;
-    sets.into_iter().map(|(number, records)| (set(number), records)).collect()
 }

@@ -84,7 +84,7 @@ pub(crate) struct Gp {
 impl Method for Gp {
     fn propose(&mut self, space: &mut Space, room: usize) -> Vec<Point> {
         let mut points = Vec::new();
-        if space.known.len() < self.first {
+        if space.known.len() < self.first && !space.is_finished() {
             let count = (self.first - space.known.len()).min(room);
             for _ in 0..count {
                 let Some(point) = self.new_sobol(space, &points) else { break };
@@ -552,6 +552,17 @@ mod tests {
             let found = value(&tuner.recommend(&by_values));
             assert!(found <= 1.05 * 0.5, "{seed}: {found}, and the least is 0.5");
         }
+    }
+
+    #[test]
+    fn under_noise_a_budget_is_spent_on_a_grid_of_few_sets_too() {
+        let axes = ["kv", "kl", "ks"].map(|key| format!("grid.{key}={{min=3.0,max=3.0,step=1.0}}"));
+        let mut sets: Vec<&str> = axes.iter().map(String::as_str).collect();
+        sets.extend(["noise.enabled=true", "tuner.settings.drives=29"]);
+        let config = config(&sets);
+        assert_eq!(config.grid().len(), 5);
+        let driven = drive(&mut *tuners::tuner("gp", &config), |ask| bowl(&ask.parameters));
+        assert_eq!(driven.len(), 29);
     }
 
     #[test]

@@ -121,10 +121,9 @@ pub trait Tuner: Debug + Send + Sync {
     /// A summary of how each learner learnt, of bounded size.
     fn story(&self) -> Vec<LearnerSummary>;
 
-    /// All drives by their sets, if the tuner drives so few that their figures are the result's; nothing else is driven for
-    /// its table then.
-    fn driven(&self) -> Option<Vec<(Parameters, Vec<DriveRecord>)>> {
-        None
+    /// Whether what it recommends needs no further drives that choose among its best sets, under noise either.
+    fn chooses(&self) -> bool {
+        false
     }
 
     /// What its model says of a set that was driven; `None` if it has none, or where a single drive says it all.
@@ -209,7 +208,7 @@ mod tests {
         }
         layers.set(&format!("learning.tuner={tuner}")).unwrap();
         let config = layers.clone().resolve().unwrap();
-        if config.tuner.settings.0.contains_key("drives") {
+        if config.tuner.has_budget() {
             layers.set("tuner.settings.drives=21").unwrap();
         }
         if tuner == "simulate-first" {

@@ -15,9 +15,7 @@ use tracking::{DriveRecord, Objective};
 use crate::digest::add_parameters;
 use crate::packing::{from_bytes, to_bytes};
 use crate::search::expected_improvement;
-use crate::simulate_first::{
-    Belief, Driven, Ensemble, Reading, by_set, log_value, simulated_first,
-};
+use crate::simulate_first::{Belief, Driven, Ensemble, Reading, log_value, simulated_first};
 use crate::tuners::{Ask, LearnerState, Told, Tuner};
 
 /// How often the textbook's set is driven, at most.
@@ -34,6 +32,7 @@ pub(super) fn new(config: &RunConfig) -> SimulateFirst {
         ensemble: Ensemble::new(config),
         budget: (config.tuner.settings.number("drives") as usize).max(1),
         within_m: config.tuner.settings.number("within_m"),
+        repeats: config.run.memo && !config.drives_differ(),
         driven: Vec::new(),
         next: None,
     }
@@ -46,6 +45,8 @@ pub(super) struct SimulateFirst {
     ensemble: Ensemble,
     budget: usize,
     within_m: f64,
+    /// Whether a second drive of a set is the first one again, which tells nothing.
+    repeats: bool,
     driven: Vec<Driven>,
     /// The set to be driven next.
     next: Option<usize>,
@@ -85,18 +86,20 @@ impl SimulateFirst {
         }
         let belief = self.belief(drives);
         if self.budget >= FEW {
-            if drives + 1 == self.budget {
+            if drives + 1 == self.budget && !self.repeats {
                 return self.best_driven(&belief, drives);
             }
             let textbook = self.ensemble.textbook();
-            let is_its_turn = drives % 2 == 1 && self.times(textbook) < TEXTBOOK;
+            let is_its_turn =
+                drives % 2 == 1 && self.times(textbook) < if self.repeats { 1 } else { TEXTBOOK };
             if is_its_turn && self.is_within(textbook) {
                 return Some(textbook);
             }
         }
         let all = 0..self.ensemble.candidates().len();
         let new = all.filter(|it| self.is_within(*it) && self.times(*it) == 0);
-        belief.best(new).or_else(|| self.best_driven(&belief, drives))
+        let again = || self.best_driven(&belief, drives).filter(|_| !self.repeats);
+        belief.best(new).or_else(again)
     }
 
     /// After how many drives no set was expected to be better by much.
@@ -135,7 +138,9 @@ impl Tuner for SimulateFirst {
         if share >= 1.0 {
             let candidates = self.ensemble.candidates();
             if !(0..candidates.len()).any(|it| self.is_within(it)) {
-                let least = candidates.iter().map(|it| it.worst_m).fold(f64::INFINITY, f64::min);
+                // Sets that are out were driven on some of the plants alone.
+                let on_all = candidates.iter().filter(|it| !it.is_out);
+                let least = on_all.map(|it| it.worst_m).fold(f64::INFINITY, f64::min);
                 return Err(format!(
                     "--within {} (tuner.settings.within_m): no set stays so near to the path on all {} simulated plants; the best one is up to {least:.4} m \
                      from it. Give more, or identify the vehicle better, so that its plants differ less",
@@ -215,8 +220,8 @@ impl Tuner for SimulateFirst {
         is_whole
     }
 
-    fn driven(&self) -> Option<Vec<(Parameters, Vec<DriveRecord>)>> {
-        Some(by_set(&self.ensemble, &self.driven))
+    fn chooses(&self) -> bool {
+        true
     }
 
     fn simulated_first(&self, objective: &Objective) -> Option<SimulatedFirst> {

@@ -227,12 +227,32 @@ fn few_drives_find_a_set_within_millimetres_of_the_best_on_cars_that_are_not_as_
     assert!(beyond * 300 <= driven, "{beyond} of {driven}");
 }
 
-#[test]
-fn the_textbook_s_set_takes_turns_and_the_best_comes_last() {
-    let mut config = config(&["tuner.settings.draw=grid".to_owned()]);
+/// The grid of two of the law's parameters, over two plants.
+fn few_sets(sets: &[String]) -> RunConfig {
+    let mut config = config(&[&["tuner.settings.draw=grid".to_owned()], sets].concat());
     config.tuner.settings.0.insert("plants".to_owned(), 2.into());
     config.grid.insert("kv".to_owned(), config::Axis { min: 1.0, max: 1.0, step: 1.0 });
     config.grid.insert("filter".to_owned(), config::Axis { min: 0.0, max: 0.0, step: 1.0 });
+    config
+}
+
+#[test]
+fn where_a_drive_repeats_exactly_no_set_is_driven_twice() {
+    let config = few_sets(&[]);
+    let mut tuner = super::new(&config);
+    while tuner.prepare().unwrap() < 1.0 {}
+    drive(&mut tuner, &config, 10);
+    let mut order: Vec<u32> = tuner.driven.iter().map(|it| it.candidate).collect();
+    assert_eq!((order.len(), order[1]), (10, tuner.ensemble.textbook() as u32));
+    order.sort_unstable();
+    order.dedup();
+    assert_eq!(order.len(), 10);
+}
+
+#[test]
+fn the_textbook_s_set_takes_turns_and_the_best_comes_last() {
+    // A vehicle that does not repeat itself.
+    let config = few_sets(&["run.repeats=false".to_owned()]);
     let mut tuner = super::new(&config);
     assert_eq!(tuner.wanted(0), None);
     while tuner.prepare().unwrap() < 1.0 {}
