@@ -303,22 +303,31 @@ fn check_limits(config: &RunConfig, commands: &[(u64, WireCommand)]) {
 }
 
 /// A stop for what does not lie in the drive is driven again three times, and then the training ends with the cause.
-#[test]
-fn a_training_whose_car_jumps_in_every_drive_is_given_up_with_the_cause() {
+fn check_given_up(process: &str, cause: &str) {
     let sandbox = Sandbox::new();
     fs::write(sandbox.path("bend.csv"), bend()).unwrap();
-    let jumping = car("ever_jumping_car");
+    let car = car(process);
     let args = ["train", "--path", "bend.csv", "--vehicle", "ackermann", "--episodes", "1"];
-    let output = sandbox.run(&[&args[..], &["--replace", &jumping, "--out", "out"]].concat());
+    let output = sandbox.run(&[&args[..], &["--replace", &car, "--out", "out"]].concat());
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(70), "{told}");
-    let cause = "gave up: the vehicle was stopped 3 times on the same drive, and again: the measured pose jumped";
-    assert!(told.contains(cause), "{told}");
+    let gave_up = "gave up: the vehicle was stopped 3 times on the same drive, and again";
+    assert!(told.contains(&format!("{gave_up}: {cause}")), "{told}");
     assert!(told.contains("go on with: pathtune train --resume"), "{told}");
     let log = sandbox.text("out/logs/orchestrator.log");
     assert_eq!(log.matches(" reissued ").count(), 3, "{log}");
     assert_eq!(told.matches("vehicle 0 stands").count(), 4, "{told}");
     sandbox.assert_clean();
+}
+
+#[test]
+fn a_training_whose_car_jumps_in_every_drive_is_given_up_with_the_cause() {
+    check_given_up("ever_jumping_car", "the measured pose jumped");
+}
+
+#[test]
+fn a_training_whose_car_never_knows_where_it_is_is_given_up_with_the_cause() {
+    check_given_up("ever_lost_car", "the odometry is not finite");
 }
 
 /// Whoever drives by a script gets an end, and the cause: nobody is there to rearm the car. One whose odometry ends does not
@@ -365,10 +374,20 @@ fn a_car_that_does_not_know_where_it_is_ends_its_drive_with_the_cause() {
     check_nobody_rearms("lost_car", "the odometry is not finite", "odometry_invalid");
 }
 
+#[test]
+fn a_car_that_stamps_by_another_clock_ends_its_drive_with_the_cause() {
+    let cause = "the odometry's tick or stamp is ahead of the clock";
+    check_nobody_rearms("car_by_another_clock", cause, "time_ahead");
+}
+
 /// A single tick that leaps is dropped; a vehicle whose ticks stay ahead of the clock is stopped.
 #[test]
 fn a_car_whose_ticks_leap_ends_its_drive_with_the_cause() {
-    check_nobody_rearms("leaping_car", "the odometry's tick is ahead of the clock", "time_ahead");
+    check_nobody_rearms(
+        "leaping_car",
+        "the odometry's tick or stamp is ahead of the clock",
+        "time_ahead",
+    );
 }
 
 #[test]
@@ -413,6 +432,20 @@ fn lost_car() {
 #[ignore = "a process of the tests above"]
 fn leaping_car() {
     run_car(|tick, car| car.leaps = if tick == 100 || tick > 200 { 1_000_000_000_000 } else { 0 });
+}
+
+/// Not a test: a car by the clock that soon does not know where it is, in every drive.
+#[test]
+#[ignore = "a process of the tests above"]
+fn ever_lost_car() {
+    run_car(|tick, car| car.apart.x_m = if tick < 60 { 0.0 } else { f64::NAN });
+}
+
+/// Not a test: a car whose stamps are soon those of another clock, an hour ahead.
+#[test]
+#[ignore = "a process of the tests above"]
+fn car_by_another_clock() {
+    run_car(|tick, car| car.stamps_ahead_ns = if tick < 200 { 0 } else { 3_600_000_000_000 });
 }
 
 /// Not a test: a car by the clock whose localisation never comes to rest.
@@ -463,6 +496,8 @@ struct Car {
     is_silent: bool,
     /// What it adds to the numbers of its ticks.
     leaps: u64,
+    /// What it adds to its stamps.
+    stamps_ahead_ns: u64,
     /// What its localisation adds to its pose.
     apart: Pose,
     tick_ns: u64,
@@ -486,6 +521,7 @@ impl Car {
             is_held: false,
             is_silent: false,
             leaps: 0,
+            stamps_ahead_ns: 0,
             apart: Pose::default(),
             tick_ns: (config.drive.tick_s * 1e9) as u64,
             age_limit_ns: (config.vehicle.safety.command_age_limit_s * 1e9) as u64,
@@ -517,7 +553,8 @@ impl Car {
         let at = seen.measured;
         let measured =
             WirePose { x_m: at.x_m + x_m, y_m: at.y_m + y_m, yaw_rad: at.yaw_rad + yaw_rad };
-        let sent = TickHeader { tick: header.tick + self.leaps, ..header };
+        let odometry_sent_ns = header.odometry_sent_ns + self.stamps_ahead_ns;
+        let sent = TickHeader { tick: header.tick + self.leaps, odometry_sent_ns, ..header };
         self.odometry.send(sent, 1, |_| Odometry {
             measured,
             speed_mps: seen.speed_mps,

@@ -320,7 +320,8 @@ constants!(
 
     /// Bit of `reasons`: the measured pose stands, or falls behind, although the vehicle drives by its own speed.
     pub const POSE_STANDS: u32 = 1 << 26;
-    /// Bit of `reasons`: the odometry's tick lies ahead of the time that has passed since the drive was requested.
+    /// Bit of `reasons`: the odometry's tick lies ahead of the time that has passed since the drive was requested, or its
+    /// stamp ahead of the clock.
     pub const TIME_AHEAD: u32 = 1 << 27;
 
     /// Bit of `reasons`: the vehicle was not rearmed, because no leg of the path within its reach fits its heading.

@@ -117,7 +117,7 @@ impl Safety {
             "pose_stands",
             "its measured pose stands, or falls behind, although it drives by its own speed",
         ),
-        (Self::TIME_AHEAD, "time_ahead", "the odometry's tick is ahead of the clock"),
+        (Self::TIME_AHEAD, "time_ahead", "the odometry's tick or stamp is ahead of the clock"),
         (Self::NO_LEG, "no_leg", "no leg of the path within its reach fits its heading"),
     ];
 

@@ -50,7 +50,9 @@ const STALLED_AT_LAST_NS: u64 = 10_000_000_000;
 const STALLS_IN_A_ROW: u32 = 100;
 /// How often a drive is made again because the vehicle was stopped for what does not lie in the drive, such as odometry
 /// that did not come.
-const STOPS_IN_A_ROW: u32 = 3;
+pub(crate) const STOPS_IN_A_ROW: u32 = 3;
+/// A vehicle that has been on its way to a stop for so long is taken for one that stands: without odometry nobody knows.
+const STOPS_WITHIN_NS: u64 = 20_000_000_000;
 /// How long a process may take to stop.
 const STOPS_WITHIN: Duration = Duration::from_secs(5);
 /// How long the recorder may take to write what waits for the disk, at most some ten megabytes.
@@ -343,7 +345,7 @@ impl<'a> Pipeline<'a> {
                 let ring = &mut self.rings[number];
                 ring.batch_is_broken = false;
                 ring.stalls_in_a_row = 0;
-                ring.stops_in_a_row = 0;
+                (ring.stops_in_a_row, ring.stopping) = (0, None);
                 self.driving_ns += now_ns() - ring.issued_ns;
                 self.driving_ticks +=
                     outcomes.iter().map(|outcome| outcome.report.ticks).max().unwrap_or_default();
@@ -372,6 +374,7 @@ impl<'a> Pipeline<'a> {
             heard = true;
             let fleet = message.items().len();
             ring.gates.resize_with(fleet, GateLog::default);
+            let mut stopped = None;
             for (slot, (gate, now)) in ring.gates.iter_mut().zip(message.items()).enumerate() {
                 let begins = gate.begins(now.reasons & Safety::TOLD);
                 if begins != 0 {
@@ -397,6 +400,8 @@ impl<'a> Pipeline<'a> {
                 }
                 let of_the_drive = now.reasons & Safety::OF_THE_DRIVE != 0;
                 let why = describe_reasons(now.reasons);
+                let is_stopping = now.state == Safety::STOPPING && !of_the_drive;
+                ring.stopping = is_stopping.then(|| (now_ns(), now.reasons));
                 match now.state {
                     Safety::STOPPING => {
                         let how = self.stops.words(now.reasons);
@@ -409,14 +414,7 @@ impl<'a> Pipeline<'a> {
                         // it drove is the drive's result instead.
                         let drives = self.sequencer.is_driving(number);
                         if self.by_clock && !self.realtime && !of_the_drive && drives {
-                            ring.stops_in_a_row += 1;
-                            if ring.stops_in_a_row > STOPS_IN_A_ROW {
-                                return Err(Failure::GaveUp(format!(
-                                    "gave up: the vehicle was stopped {STOPS_IN_A_ROW} times on the same drive, and \
-                                     again: {why}"
-                                )));
-                            }
-                            ring.batch_is_broken = true;
+                            stopped = Some(why);
                         }
                     }
                     state => {
@@ -425,6 +423,9 @@ impl<'a> Pipeline<'a> {
                         }
                     }
                 }
+            }
+            if let Some(why) = stopped {
+                ring.drive_again(&why)?;
             }
         }
         Ok(heard)
@@ -510,7 +511,7 @@ impl<'a> Pipeline<'a> {
         if now.saturating_sub(self.warned_ns) >= WARN_EVERY_NS {
             self.warned_ns = now;
             self.tell_cut_logs();
-            if self.realtime {
+            if self.by_clock {
                 self.tell_warnings();
             }
         }
@@ -521,6 +522,12 @@ impl<'a> Pipeline<'a> {
     ///
     /// A vehicle that may take its time to come to the start has no such deadline for its first tick.
     fn look_after_batch(&mut self, number: usize, now: u64) -> Result<(), Failure> {
+        let is_training = self.by_clock && !self.realtime && self.sequencer.is_driving(number);
+        let ring = &mut self.rings[number];
+        let is_overdue = |it: &mut (u64, u32)| now.saturating_sub(it.0) > STOPS_WITHIN_NS;
+        if is_training && let Some((_, reasons)) = ring.stopping.take_if(is_overdue) {
+            ring.drive_again(&describe_reasons(reasons))?;
+        }
         let ring = &self.rings[number];
         let patient = self.members.iter().any(|member| !member.entry.is_deterministic());
         let waits_for_start = patient && ring.seen_ns <= ring.issued_ns;

@@ -9,6 +9,8 @@ use runtime::{Bus, BusError, Inlet, Outlet};
 
 use crate::pipeline::cores::Placement;
 use crate::pipeline::gate_log::GateLog;
+use crate::pipeline::main_loop::STOPS_IN_A_ROW;
+use crate::words::Failure;
 
 /// A ring: vehicle, controller and supervisor are members of the pipeline that bear its number.
 pub(crate) struct Ring {
@@ -35,9 +37,26 @@ pub(crate) struct Ring {
     pub(crate) stops_in_a_row: u32,
     /// When the batch under way was issued.
     pub(crate) issued_ns: u64,
+    /// Since when a vehicle has been on its way to a stop that does not lie in its drive, and by which reasons.
+    pub(crate) stopping: Option<(u64, u32)>,
 }
 
 impl Ring {
+    /// Its vehicle was stopped for what does not lie in the drive, which is made again from the start.
+    ///
+    /// # Errors
+    /// If that has happened too many times in a row.
+    pub(crate) fn drive_again(&mut self, why: &str) -> Result<(), Failure> {
+        self.stops_in_a_row += 1;
+        if self.stops_in_a_row > STOPS_IN_A_ROW {
+            return Err(Failure::GaveUp(format!(
+                "gave up: the vehicle was stopped {STOPS_IN_A_ROW} times on the same drive, and again: {why}"
+            )));
+        }
+        self.batch_is_broken = true;
+        Ok(())
+    }
+
     /// Creates the topics of the ring with this number, of so many that share the drives; those of the first one are the
     /// run's, whose messages between trainer and orchestrator have up to `max_len` elements.
     pub(crate) fn create(
@@ -68,6 +87,7 @@ impl Ring {
             stalls_in_a_row: 0,
             stops_in_a_row: 0,
             issued_ns: 0,
+            stopping: None,
         })
     }
 }

@@ -58,6 +58,9 @@ pub(crate) struct TickProgress {
     pub(crate) absent: u64,
 }
 
+/// No recorder misses so many ticks in a row: hours.
+const LONGEST_GAP: u64 = 10_000_000;
+
 impl TickProgress {
     /// How many ticks of an attempt were received.
     pub(crate) fn ticks_of(&self, attempt: Attempt) -> u64 {
@@ -75,8 +78,12 @@ impl TickProgress {
             self.left.push((self.attempt, self.next_tick, place.attempt));
             (self.attempt, self.next_tick) = (place.attempt, 0);
         }
+        if tick.saturating_sub(self.next_tick) > LONGEST_GAP {
+            // The tick itself is wrong.
+            return;
+        }
         self.absent += tick.saturating_sub(self.next_tick);
-        self.next_tick = self.next_tick.max(tick + 1);
+        self.next_tick = self.next_tick.max(tick.saturating_add(1));
     }
 
     /// Compares finished attempts with what was reported.

@@ -18,6 +18,8 @@ pub struct Movement {
 /// Compares each odometry message with the last one that was believed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plausibility {
+    /// The newest tick, and what was believed last with the tick since which its pose has been the same.
+    newest: u64,
     last: Option<(u64, Movement)>,
     /// The last message, if it had jumped.
     jumped: Option<(u64, Movement)>,
@@ -30,6 +32,8 @@ pub struct Plausibility {
 /// The distance of two poses that noise alone exceeds once in a million times, in standard deviations of the noise on x
 /// and on y: √2·√(2·ln 10⁶).
 const NOISE_REACH: f64 = 7.43;
+/// A pose that stays the same to the bit, while odometry comes less often than ticks do, moves on for so long at most.
+const HELD_S: f64 = 0.5;
 
 impl Plausibility {
     /// Believes the first odometry message, if it is finite.
@@ -42,6 +46,7 @@ impl Plausibility {
             false => (0.0, 0.0),
         };
         Self {
+            newest: 0,
             last: None,
             jumped: None,
             tick_s: config.drive.tick_s,
@@ -69,22 +74,36 @@ impl Plausibility {
             return Safety::ODOMETRY_INVALID;
         }
         if let Some((last_tick, last)) = self.last {
-            if tick <= last_tick {
+            if tick <= self.newest {
                 return Safety::TIME_BACK;
             }
+            if pose == last.pose {
+                // The vehicle has moved on since then, although it has not told yet.
+                (self.newest, self.last, self.jumped) = (tick, Some((last_tick, now)), None);
+                return 0;
+            }
             if self.is_jump((last_tick, last), (tick, now)) {
-                // Else the vehicle may have come the farther the longer the jump lasts, and it would be believed in the end.
-                if let Some(jumped) = self.jumped
-                    && !self.is_jump(jumped, (tick, now))
-                {
-                    let pose = carried(last.pose, jumped.1.pose, now.pose);
-                    self.last = Some((tick, Movement { pose, ..now }));
+                match self.jumped {
+                    Some((since, jumped)) if jumped.pose == pose => {
+                        self.jumped = Some((since, now));
+                    }
+                    jumped => {
+                        // Else the vehicle may have come the farther the longer the jump lasts, and it would be believed in
+                        // the end.
+                        if let Some(jumped) = jumped
+                            && !self.is_jump(jumped, (tick, now))
+                        {
+                            let pose = carried(last.pose, jumped.1.pose, now.pose);
+                            self.last = Some((tick, Movement { pose, ..now }));
+                        }
+                        self.jumped = Some((tick, now));
+                    }
                 }
-                self.jumped = Some((tick, now));
+                self.newest = tick;
                 return Safety::ODOMETRY_JUMP;
             }
         }
-        (self.last, self.jumped) = (Some((tick, now)), None);
+        (self.newest, self.last, self.jumped) = (tick, Some((tick, now)), None);
         0
     }
 
@@ -92,7 +111,9 @@ impl Plausibility {
         if self.limit_m.is_infinite() && self.limit_rad.is_infinite() {
             return false;
         }
-        let dt_s = (tick - last_tick) as f64 * self.tick_s;
+        // Since the newest message, and for how long the pose had stood by then.
+        let held_s = self.newest.saturating_sub(last_tick) as f64 * self.tick_s;
+        let dt_s = tick.saturating_sub(self.newest) as f64 * self.tick_s + held_s.min(HELD_S);
         let rate_radps = last.yaw_rate_radps.abs().max(now.yaw_rate_radps.abs());
         let speed_mps = last.speed_mps.abs().max(now.speed_mps.abs()) + rate_radps * self.reach_m;
         let (x_m, y_m) = (now.pose.x_m - last.pose.x_m, now.pose.y_m - last.pose.y_m);

@@ -61,8 +61,8 @@ const DRIVES_MPS: f64 = 0.2;
 const COMES_SHARE: f64 = 0.7;
 const BEHIND_WHEELBASES: f64 = 0.5;
 const BEHIND_S: f64 = 0.2;
-/// Ticks that may be missing before the model of the vehicle starts afresh.
-const LONGEST_GAP: u64 = 100;
+/// For how long ticks may be missing before the model of the vehicle starts afresh.
+const LONGEST_GAP_S: f64 = 1.0;
 
 /// The response of one vehicle to its commands.
 #[derive(Debug, Clone, PartialEq)]
@@ -104,6 +104,7 @@ pub struct Response {
     speed_ki: f64,
     integral_bounds: (f64, f64),
     tick_s: f64,
+    longest_gap: u64,
     wheelbase_m: f64,
     reversed_limit_rad_s: f64,
     suspected_limit_rad_s: f64,
@@ -151,6 +152,7 @@ impl Response {
             speed_ki: vehicle.speed_ki,
             integral_bounds: (vehicle.speed_integral_min, vehicle.speed_integral_max),
             tick_s: config.drive.tick_s,
+            longest_gap: libm::round(LONGEST_GAP_S / config.drive.tick_s) as u64,
             wheelbase_m: vehicle.wheelbase_m,
             reversed_limit_rad_s: REVERSED_RAD_S * size,
             suspected_limit_rad_s: SUSPECTED_RAD_S * size,
@@ -199,16 +201,16 @@ impl Response {
         let ticks = self.tick.map_or(0, |last| tick.saturating_sub(last));
         self.tick = Some(tick);
         let steering_rad = if obeys { self.steering_rad } else { 0.0 };
-        if ticks > LONGEST_GAP {
+        if ticks > self.longest_gap {
             self.settle();
             self.means.restart();
-            self.pose = None;
+            (self.pose, self.ticks) = (None, 0);
         } else {
             for _ in 0..ticks {
                 self.steering.step(steering_rad);
             }
+            self.ticks += ticks;
         }
-        self.ticks += ticks;
         let Movement { pose, speed_mps, yaw_rate_radps } = movement;
         if let Some(unseen) = &mut self.unseen
             && speed_mps > self.crawls_mps
@@ -238,7 +240,7 @@ impl Response {
 
     /// The model's wheels as they come to stand under the present command.
     fn settle(&mut self) {
-        for _ in 0..LONGEST_GAP {
+        for _ in 0..self.longest_gap {
             self.steering.step(self.steering_rad);
         }
     }
@@ -263,7 +265,7 @@ impl Response {
         self.run_m = (self.run_m + (speed_mps - most_mps) * lasted_s).max(0.0);
         // One that stops on its own does not hear its commands, or not in time.
         let told_mps = if obeys { told_mps } else { self.speed_mps };
-        let is_told_in_vain = told_mps >= DRIVES_MPS && speed_mps < self.standstill_mps;
+        let is_told_in_vain = told_mps >= DRIVES_MPS && speed_mps.abs() < self.standstill_mps;
         self.stands_s = if is_told_in_vain { self.stands_s + lasted_s } else { 0.0 };
 
         let flag = |on: bool, bit: u32| if on { bit } else { 0 };
@@ -289,7 +291,11 @@ impl Response {
     fn judge_pose(&mut self, pose: Pose, speed_mps: f64, lasted_s: f64) {
         let Some(last) = self.pose.replace(pose) else { return };
         let (sin, cos) = (libm::sin(pose.yaw_rad), libm::cos(pose.yaw_rad));
-        let came_m = (pose.x_m - last.x_m) * cos + (pose.y_m - last.y_m) * sin;
+        let mut came_m = (pose.x_m - last.x_m) * cos + (pose.y_m - last.y_m) * sin;
+        if speed_mps < self.standstill_mps {
+            // Noise, a car that is pulled back, or a localisation that settles: it does not fall behind where it does not drive.
+            came_m = came_m.max(0.0);
+        }
         self.behind_m = (self.behind_m + COMES_SHARE * speed_mps * lasted_s - came_m).max(0.0);
     }
 

@@ -130,8 +130,9 @@ impl Watch {
             }
         }
         self.odometry_faults = self.plausibility.check(tick, movement);
-        if self.odometry_faults & !Safety::ODOMETRY_JUMP == 0 {
-            // Whether the vehicle stands does not depend on where it is.
+        // Whether the vehicle stands does not depend on where it is.
+        let only_of_pose = Safety::ODOMETRY_JUMP | Safety::ODOMETRY_INVALID;
+        if self.odometry_faults & !only_of_pose == 0 && movement.speed_mps.is_finite() {
             self.speed_mps = movement.speed_mps;
         }
         if self.odometry_faults == 0 {

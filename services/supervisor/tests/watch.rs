@@ -161,6 +161,36 @@ fn a_pose_that_moves_more_than_the_speed_has_jumped() {
     assert_eq!(it.check(1, at(9.0)), 0);
 }
 
+/// Odometry that comes less often than ticks do repeats each pose until the next one.
+#[test]
+fn a_step_counts_from_when_the_pose_last_changed() {
+    let fast = |x_m| Movement { speed_mps: 5.0, ..at(x_m) };
+    let fresh = |ticks: u64| {
+        let mut it = Plausibility::new(&config(&JUMPS));
+        for tick in 0..ticks {
+            assert_eq!(it.check(tick, fast(0.0)), 0);
+        }
+        it
+    };
+    // 20 Hz: a twentieth of a second at 5 m/s, and half a metre.
+    assert_eq!(fresh(5).check(5, fast(0.749)), 0);
+    assert_eq!(fresh(5).check(5, fast(0.751)), Safety::ODOMETRY_JUMP);
+    // One that was too large is none any more once the vehicle may have come so far, however often it is repeated.
+    let mut it = fresh(5);
+    assert_eq!([5, 6, 7, 8].map(|tick| it.check(tick, fast(0.88))), [16, 16, 16, 0]);
+    // A localisation that hangs does not allow for every step in the end: half a second, and the tick.
+    assert_eq!(fresh(300).check(300, fast(3.04)), 0);
+    assert_eq!(fresh(300).check(300, fast(3.06)), Safety::ODOMETRY_JUMP);
+    // Messages that are missing were driven.
+    assert_eq!(fresh(5).check(104, fast(5.69)), 0);
+    // Ticks that go back between jumps are no long time.
+    let mut it = fresh(5);
+    assert_eq!(
+        [20, 15].map(|tick| it.check(tick, fast(90.0))),
+        [Safety::ODOMETRY_JUMP, Safety::TIME_BACK]
+    );
+}
+
 /// Fast, a vehicle might have come as far as the jump while it lasts; but its odometry has shown how far it came.
 #[test]
 fn a_jump_that_lasts_is_not_believed_in_the_end_and_one_that_goes_back_is_forgotten() {

@@ -75,8 +75,13 @@ impl Supervisor {
             return;
         }
         let joins = self.clocked.as_ref().is_some_and(|it| it.joins && it.seen.is_none());
-        if is_ahead(header.tick, self.tick_s, self.batch.sent_ns, now_ns()) {
-            return self.refuse(header, odometry, joins);
+        let now_ns = now_ns();
+        // A stamp by another clock would count as recent for ever.
+        if header.odometry_sent_ns > now_ns
+            || is_ahead(header.tick, self.tick_s, self.batch.sent_ns, now_ns)
+        {
+            let odometry_sent_ns = header.odometry_sent_ns.min(now_ns);
+            return self.refuse(TickHeader { odometry_sent_ns, ..header }, odometry, joins);
         }
         for (slot, odometry) in self.slots.iter_mut().zip(odometry) {
             let believed = slot.see(header.tick, odometry, joins);
