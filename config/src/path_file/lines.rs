@@ -11,6 +11,9 @@ pub(super) enum Delimiter {
     Space,
 }
 
+/// What stands between the fields of a single tab-separated line.
+const TAB: Delimiter = Delimiter::Sign('\t');
+
 impl Delimiter {
     /// What separates the fields of this line.
     pub(super) fn of(line: &str) -> Self {
@@ -28,6 +31,30 @@ impl Delimiter {
             _ if line.contains('|') => Self::Sign('|'),
             _ => Self::Space,
         }
+    }
+
+    /// What separates the names of a header, and the fields of the rows below it. Names and texts may hold spaces between tabs, so
+    /// that only both together tell whether single tabs separate them, or white space of any length.
+    pub(super) fn of_table(header: Option<&str>, row: &str) -> (Self, Self) {
+        let named_by_tabs = header.filter(|header| header.contains('\t'));
+        if !holds_tabs(row) {
+            return (header.map_or(Self::Space, Self::of), Self::of(row));
+        }
+        let fits = |by: Self| {
+            named_by_tabs.is_none_or(|header| {
+                let names = by.fields(header).len();
+                by.fields_of(row, names).len() == names
+            })
+        };
+        let aligned = TAB.fields(row).contains(&"");
+        let by_tabs =
+            if aligned { fits(TAB) && !fits(Self::Space) } else { fits(TAB) || !fits(Self::Space) };
+        let of_row = if by_tabs { TAB } else { Self::Space };
+        let of_header = match named_by_tabs {
+            Some(_) => of_row,
+            None => header.map_or(Self::Space, Self::of),
+        };
+        (of_header, of_row)
     }
 
     /// The fields of a line, without the quotes and brackets that some programs put around them, and without an empty one
@@ -59,10 +86,24 @@ impl Delimiter {
         match self {
             Self::Sign(';') => "';'",
             Self::Sign('|') => "'|'",
+            Self::Sign('\t') => "tabs",
             Self::Sign(_) => "','",
             Self::Space => "spaces",
         }
     }
+}
+
+/// Whether tabs may be what separates a row's fields: not beside a sign that does (`1,\t2`), and not beside spaces that do.
+fn holds_tabs(row: &str) -> bool {
+    const SIGNS: [char; 3] = [',', ';', '|'];
+    let is_whole = |field: &str| {
+        let field = field.trim();
+        let mut words = field.split_whitespace();
+        !field.starts_with(SIGNS)
+            && !field.ends_with(SIGNS)
+            && (words.clone().count() < 2 || !words.all(|word| number(word, true).is_some()))
+    };
+    row.contains('\t') && row.split('\t').all(is_whole)
 }
 
 /// The parts of a line between a sign that stands in no quotes. Quotes that do not come in pairs are signs as any other.
@@ -86,14 +127,21 @@ fn bare(field: &str) -> &str {
 /// A line with its number in the file.
 pub(super) type Line<'a> = (usize, &'a str);
 
+/// A line without the white space around it, but with its tabs: an empty field may stand beside them.
+fn trimmed(line: &str) -> &str {
+    let is_space = |c: char| c.is_whitespace() && c != '\t';
+    if line.trim().is_empty() { "" } else { line.trim_matches(is_space) }
+}
+
 /// The lines that are no comments, and the comments above the first of them, without their sign.
 pub(super) fn split(text: &str) -> (Vec<Line<'_>>, Vec<Line<'_>>) {
     let (mut body, mut comments) = (Vec::new(), Vec::new());
     // Old Macs end a line with \r alone.
     let is_old = !text.contains('\n') && text.contains('\r');
     let lines: Vec<&str> = if is_old { text.split('\r').collect() } else { text.lines().collect() };
-    for (line, content) in lines.into_iter().enumerate().map(|(index, it)| (index + 1, it.trim())) {
-        let quoted = content.trim_start_matches('"');
+    for (index, content) in lines.into_iter().enumerate() {
+        let (line, content) = (index + 1, trimmed(content));
+        let quoted = content.trim_start().trim_start_matches('"');
         match COMMENTS.iter().find_map(|sign| quoted.strip_prefix(sign)) {
             Some(comment) if body.is_empty() => {
                 comments.push((line, comment.trim_start_matches(['#', '/', '%']).trim()))
@@ -102,8 +150,9 @@ pub(super) fn split(text: &str) -> (Vec<Line<'_>>, Vec<Line<'_>>) {
             None if content.is_empty() => {}
             // A comment behind the values.
             None => {
-                let values = content.split_once(" #").map_or(content, |(values, _)| values);
-                body.push((line, values.trim_end()));
+                let values =
+                    content.split_once(" #").map_or(content, |(values, _)| values.trim_end());
+                body.push((line, values));
             }
         }
     }

@@ -67,7 +67,8 @@ pub(super) fn read(origin: &str, text: &str, options: &PathOptions) -> Result<Ra
         let line = header.map_or(first.0, |(line, _)| line);
         return Err(mistake(origin, line, "no points follow; write one per line"));
     };
-    let table = Table { origin, header, data, delimiter: Delimiter::of(sample), comma: false };
+    let (of_names, delimiter) = Delimiter::of_table(header.map(|(_, names)| names), sample);
+    let table = Table { origin, header, data, of_names, delimiter, comma: false };
     let table = Table { comma: table.has_decimal_commas(), ..table };
     let plan = table.plan(options.columns.as_ref())?;
     let mut raw = table.rows(&plan)?;
@@ -116,6 +117,8 @@ struct Table<'a> {
     origin: &'a str,
     header: Option<Line<'a>>,
     data: &'a [Line<'a>],
+    /// What separates the header's names, and the rows' fields.
+    of_names: Delimiter,
     delimiter: Delimiter,
     /// Whether decimals stand after a comma.
     comma: bool,
@@ -148,14 +151,16 @@ impl Table<'_> {
     }
 
     fn names(&self, (_, header): Line<'_>) -> Vec<String> {
-        Delimiter::of(header).fields(header).into_iter().map(str::to_owned).collect()
+        self.of_names.fields(header).into_iter().map(str::to_owned).collect()
     }
 
     /// The columns that the user names.
     fn of_user(&self, columns: &Columns, header: Option<Line<'_>>) -> Result<Plan, ConfigError> {
         let names = header.map(|header| self.names(header)).unwrap_or_default();
-        let count = self.delimiter.fields(self.data[0].1).len();
-        let line = header.map_or(self.data[0].0, |(line, _)| line);
+        let (first, sample) = self.data[0];
+        let as_named = self.delimiter.fields_of(sample, names.len()).len() == names.len();
+        let count = if as_named { names.len() } else { self.delimiter.fields(sample).len() };
+        let line = header.map_or(first, |(line, _)| line);
         let mut used = Vec::new();
         for column in &columns.0 {
             let index = match &column.place {
@@ -163,7 +168,16 @@ impl Table<'_> {
                 Place::Index(_) => {
                     let problem =
                         format!("--columns names column {}, but the row has {count}", column.place);
-                    return Err(self.fails(self.data[0].0, problem));
+                    return Err(self.fails(first, problem));
+                }
+                Place::Name(name) if header.is_some() && !as_named => {
+                    let problem = format!(
+                        "has no certain column {name}, which --columns names: the header names {} ({}), the rows have {count}; give \
+                         the columns by number",
+                        names.len(),
+                        quoted(&names.join(", "))
+                    );
+                    return Err(self.fails(line, problem));
                 }
                 Place::Name(name) => {
                     names.iter().position(|it| it.eq_ignore_ascii_case(name)).ok_or_else(|| {
@@ -179,11 +193,12 @@ impl Table<'_> {
                     })?
                 }
             };
-            let name = names.get(index).cloned().unwrap_or_else(|| format!("column {}", index + 1));
+            let named = names.get(index).filter(|_| as_named).cloned();
+            let name = named.unwrap_or_else(|| format!("column {}", index + 1));
             used.push(Used { role: column.role, unit: column.unit, index, name });
         }
         // A header of another kind than the rows: names that count otherwise are none.
-        let names = if names.len() == count { names } else { Vec::new() };
+        let names = if as_named { names } else { Vec::new() };
         Ok(Plan { used, names, notes: Vec::new() })
     }
 

@@ -273,6 +273,39 @@ fn columns_are_those_that_the_user_names() {
 }
 
 #[test]
+fn names_between_tabs_may_hold_spaces_and_count_as_the_rows_do() {
+    let check = |text: &str, columns: Option<&str>| {
+        let file = read_as(text, columns, None).unwrap_or_else(|error| panic!("{text:?}: {error}"));
+        assert_eq!(file.points, [[1.0, 2.0], [3.0, -4.5]], "{text:?}");
+    };
+    check("Time stamp\tX\tY\tZ\n0.0\t1\t2\t0\n0.1\t3\t-4.5\t0\n", Some("x=X,y=Y"));
+    check("Time stamp\tX\tY\tZ\n0.0\t1\t2\t0\n0.1\t3\t-4.5\t0\n", Some("x=2,y=3"));
+    check("Time stamp\tX\tY\tZ\n0.0\t1\t2\t0\n0.1\t3\t-4.5\t0\n", None);
+    check("x [m]\ty [m]\n1\t2\n3\t-4.5\n", None);
+    check("x [m]\ty [m]\n1,0\t2,0\n3,0\t-4,5\n", None);
+    check("street\tx\ty\nOak St, 5\t1\t2\nElm St\t3\t-4.5\n", None);
+    check("\tx\ty\n0\t1\t2\n1\t3\t-4.5\n", None);
+    check("x\tnote\ty\tend\n1\ta b\t2\tc\n3\t\t-4.5\t\n", None);
+    // Aligned by several tabs, and by tabs and spaces.
+    check("x\t\ty\n1.0\t2\n3\t\t-4.5\n", None);
+    check("\t1\t\t2\n\t3\t\t-4.5\n", Some("x=1,y=2"));
+    check("x y\tv_mps\n1 2\t1\n3 -4.5\t1\n", None);
+    check("x,\ty\n1,\t2\n3,\t-4.5\n", None);
+    for (text, columns, parts) in [
+        ("name,x,y\n1,2\n2,3\n", "x=x,y=y", ["p.csv:1:", "names 3", "rows have 2"]),
+        ("time stamp x y\n1 2 3\n2 3 4\n", "x=x,y=y", ["p.csv:1:", "names 4", "rows have 3"]),
+    ] {
+        let message = read_as(text, Some(columns), None).unwrap_err().to_string();
+        for part in parts.into_iter().chain(["by number"]) {
+            assert!(message.contains(part), "{message:?} lacks {part:?}");
+        }
+    }
+    // An empty field at the end is one of the row's.
+    let file = read_as("x,y,note\n1,2,\n3,-4.5,a\n", Some("x=x,y=y"), None).unwrap();
+    assert_eq!(file.points[1], [3.0, -4.5]);
+}
+
+#[test]
 fn coordinates_of_the_earth_become_metres() {
     let utm =
         read("x_m,y_m\n482301.25,4419876.5\n482302.25,4419876.5\n482303.25,4419877\n").unwrap();
