@@ -15,6 +15,16 @@ const MOST_PREAMBLE: usize = 20;
 /// The widest road.
 const WIDEST_M: f64 = 1000.0;
 
+/// How a header or a comment says that coordinates are web-Mercator; "Mercator" alone is UTM's, too.
+const WEB_MERCATOR: [&str; 6] = [
+    "web-mercator",
+    "web mercator",
+    "pseudo-mercator",
+    "pseudo mercator",
+    "epsg:3857",
+    "epsg:900913",
+];
+
 /// One column that is read.
 #[derive(Debug, Clone)]
 struct Used {
@@ -76,7 +86,7 @@ pub(super) fn read(origin: &str, text: &str, options: &PathOptions) -> Result<Ra
         let in_comments = comments.iter().any(|(_, comment)| comment.to_lowercase().contains(word));
         in_comments || header.is_some_and(|(_, names)| names.to_lowercase().contains(word))
     };
-    raw.is_mercator = ["mercator", "epsg:3857", "epsg:900913"].iter().any(|word| says(word));
+    raw.is_mercator = WEB_MERCATOR.iter().any(|word| says(word));
     Ok(raw)
 }
 

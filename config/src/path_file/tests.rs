@@ -328,6 +328,16 @@ fn coordinates_of_the_earth_become_metres() {
     assert_eq!(metres.points[1], [10.0, 0.0]);
     let named = read("# EPSG:3857\nx,y\n300000,6000000\n300010,6000000\n300020,6000000\n").unwrap();
     assert!(named.points[1][0] < 7.5, "{:?}", named.points);
+    // UTM is the universal *transverse* Mercator.
+    for (comment, first_m) in [
+        ("UTM (Universal Transverse Mercator) zone 32N", 10.0),
+        ("transverse-mercator", 10.0),
+        ("WGS 84 / Pseudo-Mercator", 7.34),
+    ] {
+        let text = format!("# {comment}\nx,y\n500000,5300000\n500010,5300000\n500020,5300000\n");
+        let along_m = read(&text).unwrap().points[1][0];
+        assert!((along_m - first_m).abs() < 0.1, "{comment}: {along_m}");
+    }
     let degrees = "latitude,longitude\n48.0,11.0\n48.0,11.001\n48.001,11.001\n";
     let there = read(degrees).unwrap();
     assert!((there.points[1][0] - 74.63).abs() < 0.01 && (there.points[2][1] - 111.2).abs() < 0.05);
