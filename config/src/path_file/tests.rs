@@ -247,6 +247,44 @@ fn a_raceline_without_a_header_and_ambiguous_columns() {
 }
 
 #[test]
+fn a_table_without_a_header_is_not_guessed_where_it_may_be_another() {
+    let path = |text: &str| read(text).map(|file| file.points).map_err(|error| error.to_string());
+    let asked = |text: &str, part: &str| {
+        let message = path(text).unwrap_err();
+        for part in [part, "--columns x=2,y=3 or x=1,y=2"] {
+            assert!(message.contains(part), "{text:?}: {message:?} lacks {part:?}");
+        }
+    };
+    // Straights at 45°, or the length along a straight.
+    asked("0,0,2\n1,1,2\n2,2,2\n3,3,2\n", "may be x of a straight, or the length");
+    asked("0,0,2\n1,1,2.2\n2.5,2.5,2.5\n3,3,2.6\n", "may be x of a straight, or the length");
+    let bent = "0,0,2\n1,1,2\n2,2,2\n3,2,3\n4,2,4\n5,2,5\n";
+    assert_eq!(path(bent).unwrap()[3], [2.0, 3.0]);
+    // A clock with jitter.
+    let jitter = "0.000,0,0\n0.101,0.15,0.01\n0.199,0.31,0.02\n0.304,0.46,0.04\n0.402,0.60,0.08\n";
+    asked(jitter, "rises almost evenly");
+    let widths = "0,0,1.1\n1,0.1,1.1\n1.9,0.3,1.1\n3.1,0.9,1.1\n";
+    assert_eq!(path(widths).unwrap()[1], [1.0, 0.1]);
+    let back = "0,0,1\n1,0.1,2\n1.9,0.3,3\n1.5,1,3\n";
+    assert_eq!(path(back).unwrap()[3], [1.5, 1.0]);
+    // Words and gaps are no coordinates.
+    for third in ["straight", "nan"] {
+        let text = format!("1.0,2.0,{third}\n1.5,2.0,{third}\n2.0,2.1,{third}\n2.5,2.1,{third}\n");
+        assert_eq!(path(&text).unwrap()[2], [2.0, 2.1], "{third}");
+    }
+    asked("0,1,2\n1,1.5,2\n2,2.5,oops\n3,3.5,2\n", "rises evenly");
+    // As ros2 topic echo --csv writes odometry and poses.
+    let odometry =
+        |x: f64| format!("1700000000,123,odom,base_link,{x},2.0,0.0,0,0,0.1,0.99,0.1,0\n");
+    let file = read(&[odometry(1.0), odometry(2.0), odometry(3.0)].concat()).unwrap();
+    assert_eq!(file.points[1], [2.0, 2.0]);
+    assert!(file.notes[0].contains("columns 5, 6 taken as x_m, y_m"), "{:?}", file.notes);
+    let pose = |x: f64| format!("1700000000,123,map,{x},2.0,0.0,0,0,0.1,0.99\n");
+    let file = read(&[pose(1.0), pose(2.0), pose(3.0)].concat()).unwrap();
+    assert_eq!(file.points[1], [2.0, 2.0]);
+}
+
+#[test]
 fn columns_are_those_that_the_user_names() {
     let file = read_as("0,1,2,9,5\n0,3,-4.5,9,6\n", Some("x=2,y=3,v=5"), None).unwrap();
     assert_eq!((file.points[1], file.speeds_mps[1]), ([3.0, -4.5], 6.0));
