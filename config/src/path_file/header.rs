@@ -23,6 +23,16 @@ impl Role {
             _ => Unit::new("m", 1.0),
         }
     }
+
+    /// The unit of this name, if it is one that its numbers may have.
+    fn unit_of(self, name: &str) -> Option<Unit> {
+        let table: &[(&[&str], Unit)] = match self {
+            Self::Speed => &SPEEDS,
+            Self::Lat | Self::Lon => &ANGLES,
+            _ => &LENGTHS,
+        };
+        table.iter().find(|(names, _)| names.contains(&name)).map(|(_, unit)| *unit)
+    }
 }
 
 /// A unit, and what its numbers are multiplied by to become metres or metres per second; degrees stay.
@@ -103,12 +113,33 @@ const BESIDE: [&str; 34] = [
 /// `None` for a column that is no part of a path, such as a time, a yaw or a curvature.
 pub(super) fn meaning(name: &str) -> Option<(Role, Result<Option<Unit>, String>)> {
     let name = name.trim().to_lowercase();
+    let (words, unit_word) = words_and_unit(&name);
+    let role = role(&words)?;
+    let unit = match unit_word {
+        None => Ok(None),
+        Some(word) => role.unit_of(&word).map(Some).ok_or(word),
+    };
+    Some((role, unit))
+}
+
+/// The unit that a column of this name tells for what the user says that it holds; that of another kind of quantity, or one that
+/// is not understood, is an error.
+pub(super) fn unit_told(name: &str, role: Role) -> Result<Option<Unit>, String> {
+    let name = name.trim().to_lowercase();
+    match words_and_unit(&name).1 {
+        Some(word) if is_unit(&word) => role.unit_of(&word).map(Some).ok_or(word),
+        _ => Ok(None),
+    }
+}
+
+/// The words of a name in small letters, and its unit, if it tells one.
+fn words_and_unit(name: &str) -> (Vec<&str>, Option<String>) {
     let (base, told) = match name.find(['[', '(']) {
         Some(at) => {
             let told = name[at + 1..].trim_end_matches([']', ')']).trim().replace(' ', "");
-            (name[..at].trim().to_owned(), Some(told))
+            (name[..at].trim(), Some(told))
         }
-        None => (name.clone(), None),
+        None => (name, None),
     };
     let mut words: Vec<&str> = base
         .split(|c: char| !c.is_alphanumeric() && c != '°')
@@ -129,20 +160,7 @@ pub(super) fn meaning(name: &str) -> Option<(Role, Result<Option<Unit>, String>)
             words.pop();
         }
     }
-    let role = role(&words)?;
-    let table: &[(&[&str], Unit)] = match role {
-        Role::Speed => &SPEEDS,
-        Role::Lat | Role::Lon => &ANGLES,
-        _ => &LENGTHS,
-    };
-    let unit = match unit_word {
-        None => Ok(None),
-        Some(word) => {
-            let found = table.iter().find(|(names, _)| names.contains(&word.as_str()));
-            found.map(|(_, unit)| Some(*unit)).ok_or(word)
-        }
-    };
-    Some((role, unit))
+    (words, unit_word)
 }
 
 fn is_unit(word: &str) -> bool {

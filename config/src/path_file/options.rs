@@ -51,7 +51,8 @@ pub struct Columns(pub(super) Vec<Column>);
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Column {
     pub(super) role: Role,
-    pub(super) unit: Unit,
+    /// As the header tells it, or else the usual one, if the user does not say it.
+    pub(super) unit: Option<Unit>,
     pub(super) place: Place,
 }
 
@@ -76,7 +77,7 @@ impl FromStr for Columns {
                 )
             })?;
             let (role, unit) = match meaning(what.trim()) {
-                Some((role, Ok(unit))) => (role, unit.unwrap_or_else(|| role.unit())),
+                Some((role, Ok(unit))) => (role, unit),
                 Some((_, Err(unit))) => {
                     return Err(format!("{what} has the unit {unit}, which is not known; {UNITS}"));
                 }

@@ -1,6 +1,6 @@
 //! Reads the rows of a table: which columns count, and their numbers.
 
-use super::header::{Role, Unit, is_speed_in_si, meaning};
+use super::header::{Role, Unit, is_speed_in_si, meaning, unit_told};
 use super::lines::{self, Delimiter, Line};
 use super::options::{Columns, Place};
 use super::{PathOptions, Raw, headless, mistake, quoted};
@@ -203,13 +203,21 @@ impl Table<'_> {
                     })?
                 }
             };
-            let named = names.get(index).filter(|_| as_named).cloned();
-            let name = named.unwrap_or_else(|| format!("column {}", index + 1));
-            used.push(Used { role: column.role, unit: column.unit, index, name });
+            let named = names.get(index).filter(|_| as_named);
+            let name = named.cloned().unwrap_or_else(|| format!("column {}", index + 1));
+            let unit = match (column.unit, named) {
+                (Some(unit), _) => unit,
+                (None, Some(name)) => unit_told(name, column.role)
+                    .map_err(|unit| self.fails(line, unknown_unit(name, &unit)))?
+                    .unwrap_or(column.role.unit()),
+                (None, None) => column.role.unit(),
+            };
+            used.push(Used { role: column.role, unit, index, name });
         }
+        let notes = vec![format!("read {}", all_told(&used))];
         // A header of another kind than the rows: names that count otherwise are none.
         let names = if as_named { names } else { Vec::new() };
-        Ok(Plan { used, names, notes: Vec::new() })
+        Ok(Plan { used, names, notes })
     }
 
     /// The columns that the header names.
@@ -228,10 +236,7 @@ impl Table<'_> {
             let name = names[index].clone();
             let unit = match meaning(&name).map(|(_, unit)| unit) {
                 Some(Err(unit)) => {
-                    let problem = format!(
-                        "names {name}, in {unit}, which is not understood; say what it is in, as --columns x_m=1,y_m=2,v_kmh=3"
-                    );
-                    return Err(self.fails(header.0, problem));
+                    return Err(self.fails(header.0, unknown_unit(&name, &unit)));
                 }
                 Some(Ok(Some(unit))) => unit,
                 _ if role == Role::Speed && !is_speed_in_si(&name) && !of_ros => {
@@ -240,8 +245,7 @@ impl Table<'_> {
                         true => [("x", Role::X), ("y", Role::Y)],
                         false => [("lat", Role::Lat), ("lon", Role::Lon)],
                     };
-                    let places =
-                        of_place.map(|(word, of)| format!("{word}={}", self.place(&used, of)));
+                    let places = of_place.map(|(word, of)| self.place(&used, word, of));
                     let problem = format!(
                         "names {name} without a unit (Autoware.AI writes km/h, others m/s); say it, as --columns \
                          {},v_mps={1} or v_kmh={1}, or leave the speed out",
@@ -261,27 +265,20 @@ impl Table<'_> {
                 || !matches!(it.role, Role::X | Role::Y | Role::Lat | Role::Lon)
         });
         let as_ever = |it: &Used| matches!(it.name.as_str(), "x_m" | "y_m" | "v_mps" | "vx_mps");
-        let told: Vec<String> = used
-            .iter()
-            .filter(|it| !as_ever(it))
-            .map(|it| match it.role {
-                Role::X => format!("x_m from {}", it.told()),
-                Role::Y => format!("y_m from {}", it.told()),
-                Role::Lat => format!("latitude from {}", it.name),
-                Role::Lon => format!("longitude from {}", it.name),
-                Role::Speed => format!("v_mps from {}", it.told()),
-                Role::Left => format!("the left edge from {}", it.told()),
-                Role::Right => format!("the right edge from {}", it.told()),
-            })
-            .collect();
+        let told = all_told(used.iter().filter(|it| !as_ever(it)));
         if !told.is_empty() {
-            notes.push(format!("read {}", told.join(", ")));
+            notes.push(format!("read {told}"));
         }
         Ok(Plan { used, names, notes })
     }
 
-    fn place(&self, used: &[Used], role: Role) -> usize {
-        used.iter().find(|it| it.role == role).map_or(1, |it| it.index + 1)
+    /// Where a coordinate is, as --columns says it.
+    fn place(&self, used: &[Used], word: &str, role: Role) -> String {
+        match used.iter().find(|it| it.role == role) {
+            Some(it) if it.unit == role.unit() => format!("{word}={}", it.index + 1),
+            Some(it) => format!("{word}_{}={}", it.unit.name, it.index + 1),
+            None => format!("{word}=1"),
+        }
     }
 
     /// The one column among those that may hold this.
@@ -474,10 +471,25 @@ impl Table<'_> {
     }
 }
 
-impl Used {
-    fn told(&self) -> String {
-        format!("{} in {}", self.name, self.unit.name)
-    }
+/// What the columns are read as.
+fn all_told<'a>(used: impl IntoIterator<Item = &'a Used>) -> String {
+    let told = used.into_iter().map(|Used { role, unit, name, .. }| match role {
+        Role::X => format!("x_m from {name} in {}", unit.name),
+        Role::Y => format!("y_m from {name} in {}", unit.name),
+        Role::Lat => format!("latitude from {name}"),
+        Role::Lon => format!("longitude from {name}"),
+        Role::Speed => format!("v_mps from {name} in {}", unit.name),
+        Role::Left => format!("the left edge from {name} in {}", unit.name),
+        Role::Right => format!("the right edge from {name} in {}", unit.name),
+    });
+    told.collect::<Vec<_>>().join(", ")
+}
+
+/// What is wrong with a name that tells a unit which its column cannot have.
+fn unknown_unit(name: &str, unit: &str) -> String {
+    format!(
+        "names {name}, in {unit}, which is not understood; say what it is in, as --columns x_m=1,y_m=2,v_kmh=3"
+    )
 }
 
 /// Names that are chosen before all others with the same meaning, in this order.

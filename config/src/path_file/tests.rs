@@ -295,6 +295,23 @@ fn columns_are_those_that_the_user_names() {
         let message = read_as(text, Some(columns), None).unwrap_err().to_string();
         assert!(message.contains(part), "{message}");
     };
+    // The header's units hold where --columns says none, and the advice that the program gives keeps them.
+    let cm = "x_cm,y_cm,speed\n100,200,5\n300,-450,6\n";
+    let advice = message(cm);
+    assert!(advice.contains("--columns x_cm=1,y_cm=2,v_mps=3"), "{advice}");
+    for columns in ["x=1,y=2,v=3", "x=x_cm,y=y_cm,v=speed", "x_cm=1,y_cm=2,v_mps=3"] {
+        let file = read_as(cm, Some(columns), None).unwrap();
+        assert_eq!((file.points[1], file.speeds_mps[1]), ([3.0, -4.5], 6.0), "{columns}");
+        let told = "read x_m from x_cm in cm, y_m from y_cm in cm, v_mps from speed in m/s";
+        assert_eq!(file.notes, [told]);
+    }
+    let file = read_as(cm, Some("x_m=1,y_m=2"), None).unwrap();
+    assert_eq!(file.points[1], [300.0, -450.0]);
+    let file =
+        read_as("left (map);up_mm;v km/h\n1;2000;36\n3;-4500;72\n", Some("x=1,y=2,v=3"), None);
+    let file = file.unwrap();
+    assert_eq!((file.points[1], file.speeds_mps[1]), ([3.0, -4.5], 20.0));
+    wrong("x_yd,y_yd\n1,2\n3,4\n", "x=1,y=2", "x_yd, in yd");
     wrong("1,2\n3,4\n", "x=1,y=3", "names column 3, but the row has 2");
     wrong("a,b\n3,4\n", "x=a,y=c", "has no column c");
     for (text, part) in [
