@@ -40,11 +40,13 @@ pub(super) fn looks_like(bytes: &[u8]) -> Option<&'static str> {
         .take(4096)
         .map(|byte| char::from(byte.to_ascii_lowercase()))
         .collect::<String>()
-        .trim_start_matches("\u{ef}\u{bb}\u{bf}")
         .trim_start()
         .to_owned();
     let has = |word: &str| start.contains(word);
-    let first = start.lines().next().unwrap_or_default();
+    // Comments may say anything.
+    let is_comment = |line: &&str| line.is_empty() || line.starts_with(['#', '/']);
+    let mut lines = start.lines().map(str::trim_end).skip_while(is_comment);
+    let (first, second) = (lines.next().unwrap_or_default(), lines.next().unwrap_or_default());
     if start.starts_with('<') {
         return Some(match () {
             () if has("<kml") => "KML",
@@ -63,10 +65,14 @@ pub(super) fn looks_like(bytes: &[u8]) -> Option<&'static str> {
             "JSON"
         });
     }
-    if first.starts_with('[') && first.ends_with(']') {
+    // A name, where a row of coordinates has numbers.
+    let table = first.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
+    if table.is_some_and(|name| name.contains(char::is_alphabetic) && !name.contains([',', ' '])) {
         return Some("TOML");
     }
-    if first == "---" || first.ends_with(':') || first.starts_with("%yaml") {
+    // What belongs to a key is indented or a list; a title stands above a table.
+    let is_key = first.ends_with(':') && second.starts_with([' ', '-']);
+    if first == "---" || is_key || first.starts_with("%yaml") {
         return Some("YAML");
     }
     // Text has no zeros.
@@ -88,6 +94,7 @@ mod tests {
             (b"<html><body>404", "a web page"),
             (b"[vehicle]\nname = 1", "TOML"),
             (b"header:\n  seq: 1", "YAML"),
+            (b"# recorded\n\nposes:\n- x: 1", "YAML"),
             (b"\xff\xfex\0,\0", "UTF-16 text"),
             (b"abc\0\0\x01", "a binary file"),
         ] {
@@ -95,5 +102,13 @@ mod tests {
         }
         assert_eq!(looks_like(b"x_m,y_m\n1,2\n"), None);
         assert_eq!(looks_like(b"1 2\n3 4\n"), None);
+        for table in [
+            &b"# Raceline, columns:\nx_m,y_m\n0,0\n"[..],
+            b"Raceline:\nx_m,y_m\n0,0\n",
+            b"[0.0, 0.0]\n[1e0, 0.0]\n",
+            b"[0.0 0.0]\n[1e0 0.0]\n",
+        ] {
+            assert_eq!(looks_like(table), None, "{}", table.escape_ascii());
+        }
     }
 }

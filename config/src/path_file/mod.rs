@@ -73,8 +73,9 @@ pub(crate) fn parse(
     bytes: &[u8],
     options: &PathOptions,
 ) -> Result<PathFile, ConfigError> {
-    let as_text = std::str::from_utf8(bytes);
-    let is_gpx = as_text.is_ok_and(gpx::is_gpx);
+    let bytes = bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes);
+    // Its tags are ASCII, whatever encoding its names have.
+    let is_gpx = gpx::is_gpx(&String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]));
     if !is_gpx && let Some(kind) = foreign::looks_like(bytes) {
         let problem = format!(
             "looks like {kind}, and is no path; give a table with the columns x_m,y_m[,v_mps], a raceline, a GPX file, or a \
@@ -82,11 +83,10 @@ pub(crate) fn parse(
         );
         return Err(mistake(origin, 1, problem));
     }
-    let text = as_text.map_err(|error| {
+    let text = std::str::from_utf8(bytes).map_err(|error| {
         let line = bytes[..error.valid_up_to()].iter().filter(|byte| **byte == b'\n').count() + 1;
         mistake(origin, line, "is not UTF-8 text; save the file as UTF-8")
     })?;
-    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     if text.trim().is_empty() {
         let problem = "is empty; write a header x_m,y_m[,v_mps], and one point per line";
         return Err(mistake(origin, 1, problem));

@@ -10,6 +10,8 @@ use crate::ConfigError;
 const FARTHEST_M: f64 = 1e9;
 /// The highest speed, as that of `reference.speed_mps`.
 const FASTEST_MPS: f64 = 50.0;
+/// The noise of a speed that is measured where a recorded car stands.
+const STANDING_MPS: f64 = 0.05;
 /// Lines above the header that are skipped.
 const MOST_PREAMBLE: usize = 20;
 /// The widest road.
@@ -61,8 +63,9 @@ pub(super) fn read(origin: &str, text: &str, options: &PathOptions) -> Result<Ra
     let mut header: Option<(Line<'_>, usize)> =
         (0..above).find(|index| names_a_path(body[*index].1)).map(|index| (body[index], index + 1));
     if header.is_none() {
-        let in_comment = comments.iter().find(|(_, comment)| names_a_path(comment));
-        header = in_comment.map(|line| (*line, above.min(usize::from(options.columns.is_some()))));
+        let row = body.get(above).unwrap_or(&first).1;
+        let in_comment = header_among(&comments, row);
+        header = in_comment.map(|line| (line, above.min(usize::from(options.columns.is_some()))));
     }
     if header.is_none() && options.columns.is_some() && above > 0 {
         // Its columns may still be named.
@@ -103,6 +106,21 @@ fn names_a_path(line: &str) -> bool {
     let has =
         |role: Role| fields.iter().any(|name| meaning(name).is_some_and(|(it, _)| it == role));
     (has(Role::X) && has(Role::Y)) || (has(Role::Lat) && has(Role::Lon))
+}
+
+/// The comment that is the header of the rows below. Comments may be prose, and of those that name coordinates the last with as
+/// many words as the row has fields is it, or else one that can be nothing else, whose names then do not fit the rows.
+fn header_among<'a>(comments: &[Line<'a>], row: &str) -> Option<Line<'a>> {
+    let names = |comment: &'a str| {
+        let (by, of_row) = Delimiter::of_table(Some(comment), row);
+        let names = by.fields(comment);
+        let fits = of_row.fields_of(row, names.len()).len() == names.len();
+        let is_prose = by == Delimiter::Space && names.iter().any(|name| meaning(name).is_none());
+        (fits, is_prose)
+    };
+    let mut named = comments.iter().rev().filter(|(_, comment)| names_a_path(comment));
+    let fitting = named.clone().find(|(_, comment)| names(comment).0);
+    fitting.or_else(|| named.find(|(_, comment)| !names(comment).1)).copied()
 }
 
 /// What is wrong with a first line that is neither a header nor numbers.
@@ -379,7 +397,7 @@ impl Table<'_> {
             plan.names.len()
         };
         let header = self.header.map(|(_, header)| header);
-        let mut repeated = 0;
+        let (mut repeated, mut standing) = (0, 0);
         for (line, content) in self.data {
             if header == Some(*content) {
                 repeated += 1;
@@ -392,7 +410,9 @@ impl Table<'_> {
             let number = |used: &Used, most: f64| self.number(*line, used, &fields, most);
             raw.points.push([number(a, FARTHEST_M)?, number(b, FARTHEST_M)?]);
             if let Some(used) = speed {
-                raw.speeds_mps.push(self.speed(*line, used, &fields)?);
+                let speed_mps = self.speed(*line, used, &fields)?;
+                standing += usize::from(speed_mps < 0.0);
+                raw.speeds_mps.push(speed_mps.max(0.0));
             }
             if let Some((left, right)) = widths {
                 raw.widths_m.push([number(left, WIDEST_M)?.abs(), number(right, WIDEST_M)?.abs()]);
@@ -401,6 +421,13 @@ impl Table<'_> {
         }
         if repeated > 0 {
             raw.notes.push(format!("the header is repeated {repeated} times below; left out"));
+        }
+        if standing > 0 {
+            let speeds = if standing == 1 { "speed" } else { "speeds" };
+            let are = if standing == 1 { "is" } else { "are" };
+            raw.notes.push(format!(
+                "{standing} {speeds} between -{STANDING_MPS} and 0 m/s {are} taken as 0, a car at rest"
+            ));
         }
         Ok(raw)
     }
@@ -448,10 +475,10 @@ impl Table<'_> {
         Ok(value)
     }
 
-    /// The speed of a row. 0 is where the car stands.
+    /// The speed of a row. 0, or just below it, is where the car stands.
     fn speed(&self, line: usize, used: &Used, fields: &[&str]) -> Result<f64, ConfigError> {
         let speed_mps = self.number(line, used, fields, f64::INFINITY)?;
-        if (0.0..=FASTEST_MPS).contains(&speed_mps) {
+        if speed_mps > -STANDING_MPS && speed_mps <= FASTEST_MPS {
             return Ok(speed_mps);
         }
         let (name, field) = (&used.name, quoted(fields[used.index]));

@@ -226,6 +226,49 @@ fn tables_of_many_tools_are_read_and_told() {
 }
 
 #[test]
+fn comments_are_no_header_unless_they_name_the_rows_columns() {
+    let check = |text: &str, points: &[[f64; 2]]| {
+        let file = read(text).unwrap_or_else(|error| panic!("{text:?}: {error}"));
+        assert_eq!(file.points, points, "{text:?}");
+    };
+    let two = [[1.0, 2.0], [3.0, -4.5]];
+    check("# waypoints of the x y plane\n1,2\n3,-4.5\n", &two);
+    check("# waypoints of the x y plane\n1 2\n3 -4.5\n", &two);
+    check("# y x plane\n# v_mps,y_m,x_m\n# x and y follow\n5,2,1\n5,-4.5,3\n", &two);
+    check("# Raceline, columns:\n# y_m; x_m\n2;1\n-4.5;3\n", &two);
+    check("[1.0, 2.0]\n[3.0, -4.5]\n", &two);
+    let uneven = message("# s_m; x_m; y_m\n1; 2\n3; -4.5\n");
+    assert!(uneven.contains("the header names 3"), "{uneven}");
+    let uneven = message("# x y\n0.1 1 2\n0.2 3 -4.5\n");
+    assert!(uneven.contains("the header names 2"), "{uneven}");
+}
+
+#[test]
+fn a_gpx_file_is_known_by_its_tags_in_any_encoding() {
+    let gpx = |before: &[u8], name: &[u8]| {
+        let points =
+            b"<trkpt lat='48.0' lon='11.0'/><trkpt lat='48.0' lon='11.001'/></trkseg></trk></gpx>";
+        let bytes =
+            [before, b"<?xml version='1.0'?>\n<gpx><trk><name>", name, b"</name><trkseg>", points]
+                .concat();
+        parse("p.gpx", &bytes, &PathOptions::default())
+    };
+    assert_eq!(gpx(b"\xef\xbb\xbf", b"Oak").unwrap().points.len(), 2);
+    let latin = gpx(b"", b"Stra\xdfe").unwrap_err().to_string();
+    assert!(latin.contains("p.gpx:2:") && latin.contains("save the file as UTF-8"), "{latin}");
+}
+
+#[test]
+fn a_speed_just_below_0_is_that_of_a_car_at_rest() {
+    let file = read("x_m,y_m,v_mps\n0,0,-0.02\n1,0,1\n2,0,1\n3,0,-0.049\n").unwrap();
+    assert_eq!(file.speeds_mps, [0.0, 1.0, 1.0, 0.0]);
+    assert_eq!(file.notes, ["2 speeds between -0.05 and 0 m/s are taken as 0, a car at rest"]);
+    let file = read("x_m,y_m,v_kmh\n0,0,-0.1\n1,0,1\n").unwrap();
+    assert_eq!(file.speeds_mps[0], 0.0);
+    assert!(message("x_m,y_m,v_mps\n0,0,-0.05\n1,0,1\n").contains("only forwards"));
+}
+
+#[test]
 fn a_raceline_without_a_header_and_ambiguous_columns() {
     let rows = |first: &dyn Fn(f64) -> f64| -> String {
         (0..20)
