@@ -13,8 +13,12 @@ const SAME_POINT_M: f64 = 1e-3;
 /// not.
 const STANDING_SHARE: f64 = 0.3;
 const STANDING_M: f64 = 0.03;
-/// A step is a gap if it is this many times the median step, …
+/// A step is a gap if it is this many times the usual step, …
 const GAP_FACTOR: f64 = 10.0;
+/// … which of so many steps is the one that this share of them is below: where the recorded car stood for long, its localisation
+/// drifted in most of them.
+const MANY_STEPS: usize = 20;
+const USUAL_SHARE: f64 = 0.8;
 /// … and longer than this: dense points may be uneven although none is missing.
 const GAP_M: f64 = 1.0;
 /// Usual steps longer than this are hardly in metres.
@@ -30,9 +34,13 @@ pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigEr
     let mut sorted = steps.clone();
     sorted.sort_by(f64::total_cmp);
     let median_m = sorted[(sorted.len() - 1) / 2];
-    let is_gap = |step_m: f64| step_m > (GAP_FACTOR * median_m).max(GAP_M);
+    let usual_m = match steps.len() {
+        count if count >= MANY_STEPS => sorted[((count - 1) as f64 * USUAL_SHARE) as usize],
+        _ => median_m,
+    };
+    let is_gap = |step_m: f64| step_m > (GAP_FACTOR * usual_m).max(GAP_M);
     if let Some(index) = steps.iter().position(|step_m| is_gap(*step_m)) {
-        return Err(gap(origin, &file, index, median_m, is_gap));
+        return Err(gap(origin, &file, index, usual_m, is_gap));
     }
     if !(SHORTEST_M..=LONGEST_M).contains(&length_m) {
         let way_out = match () {
@@ -88,7 +96,7 @@ fn gap(
     origin: &str,
     file: &PathFile,
     index: usize,
-    median_m: f64,
+    usual_m: f64,
     is_gap: impl Fn(f64) -> bool,
 ) -> ConfigError {
     let (points, lines) = (&file.points, &file.lines);
@@ -103,14 +111,14 @@ fn gap(
     };
     if let Some(alone) = alone {
         let problem = format!(
-            "lies {step_m:.2} m from the point {} it, but the usual step is {median_m:.2} m; leave it out if it does not belong \
+            "lies {step_m:.2} m from the point {} it, but the usual step is {usual_m:.2} m; leave it out if it does not belong \
              to the path, or else fill the gap with points",
             if alone == 0 { "behind" } else { "before" },
         );
         return mistake(origin, lines[alone], problem);
     }
     let problem = format!(
-        "lies {step_m:.2} m after the point of line {}, but the usual step is {median_m:.2} m; fill the gap with points, or leave \
+        "lies {step_m:.2} m after the point of line {}, but the usual step is {usual_m:.2} m; fill the gap with points, or leave \
          out those that do not belong to the path",
         lines[index]
     );
