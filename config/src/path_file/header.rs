@@ -72,7 +72,7 @@ const ANGLES: [(&[&str], Unit); 1] =
 const OTHERS: [&str; 8] = ["in", "inch", "px", "pixel", "rad", "yd", "kn", "knots"];
 
 /// Words that may stand beside x, y and a speed without changing what they are.
-const BESIDE: [&str; 34] = [
+const BESIDE: [&str; 35] = [
     "pos",
     "position",
     "pose",
@@ -103,6 +103,7 @@ const BESIDE: [&str; 34] = [
     "trajectory",
     "opt",
     "raceline",
+    "racetraj",
     "header",
     "msg",
     "transform",
@@ -209,6 +210,24 @@ fn role(words: &[&str]) -> Option<Role> {
         Some(Role::Y) if is_twist => None,
         role => role,
     }
+}
+
+/// Whether a name says that its column is a speed of some kind, as that of a limit, and not one across the line.
+pub(super) fn sounds_like_speed(name: &str) -> bool {
+    let name = name.trim().to_lowercase();
+    let (words, _) = words_and_unit(&name);
+    let is_across = words.iter().any(|word| matches!(*word, "y" | "z" | "angular" | "lateral"));
+    let is_speed = |word: &&str| {
+        matches!(*word, "v" | "vx" | "vref" | "vmax" | "vmin" | "vlim")
+            || ["vel", "speed"].iter().any(|of| word.starts_with(of))
+    };
+    words.iter().any(is_speed) && !is_across
+}
+
+/// Whether a column is the one of this name, with or without metres in it.
+pub(super) fn is_named(name: &str, wanted: &str) -> bool {
+    let name = name.trim().to_lowercase();
+    name.strip_suffix("_m").unwrap_or(&name) == wanted
 }
 
 /// Whether a speed of this name is in metres per second by custom, where the name tells no unit.

@@ -1,6 +1,6 @@
 //! Reads the rows of a table: which columns count, and their numbers.
 
-use super::header::{Role, Unit, is_speed_in_si, meaning, unit_told};
+use super::header::{Role, Unit, is_named, is_speed_in_si, meaning, sounds_like_speed, unit_told};
 use super::lines::{self, Delimiter, Line};
 use super::options::{Columns, Place};
 use super::{PathOptions, Raw, headless, mistake, quoted};
@@ -36,10 +36,20 @@ struct Used {
     name: String,
 }
 
+/// The columns of TUM's tools that lead from a track's reference line to the raceline: by `alpha` along the normal, which points
+/// to the right.
+#[derive(Debug)]
+struct Beside {
+    alpha: Used,
+    normal: [Used; 2],
+}
+
 /// Where the columns are, and how many a row has.
 #[derive(Debug)]
 struct Plan {
     used: Vec<Used>,
+    /// How far the line lies beside the coordinates that are read, if it does.
+    beside: Option<Beside>,
     /// The names of all columns; empty without a header.
     names: Vec<String>,
     notes: Vec<String>,
@@ -235,7 +245,7 @@ impl Table<'_> {
         let notes = vec![format!("read {}", all_told(&used))];
         // A header of another kind than the rows: names that count otherwise are none.
         let names = if as_named { names } else { Vec::new() };
-        Ok(Plan { used, names, notes })
+        Ok(Plan { used, beside: None, names, notes })
     }
 
     /// The columns that the header names.
@@ -287,7 +297,23 @@ impl Table<'_> {
         if !told.is_empty() {
             notes.push(format!("read {told}"));
         }
-        Ok(Plan { used, names, notes })
+        let unread: Vec<&str> = (0..names.len())
+            .filter(|index| used.iter().all(|it| it.index != *index))
+            .map(|index| names[index].as_str())
+            .filter(|name| sounds_like_speed(name))
+            .collect();
+        if !unread.is_empty() {
+            notes.push(format!("not read: {}", unread.join(", ")));
+        }
+        let beside = beside(&names)
+            .filter(|_| used.iter().any(|it| it.role == Role::X && is_named(&it.name, "x_ref")));
+        if let Some(Beside { alpha, normal: [x, y] }) = &beside {
+            notes.push(format!(
+                "the line lies {} beside that reference line, to the right, along {}, {}, as TUM's tools write it",
+                alpha.name, x.name, y.name
+            ));
+        }
+        Ok(Plan { used, beside, names, notes })
     }
 
     /// Where a coordinate is, as --columns says it.
@@ -377,7 +403,7 @@ impl Table<'_> {
         };
         let mut columns = vec![used(Role::X, guess.x), used(Role::Y, guess.y)];
         columns.extend(guess.v.map(|index| used(Role::Speed, index)));
-        Ok(Plan { used: columns, names: Vec::new(), notes: vec![guess.words] })
+        Ok(Plan { used: columns, beside: None, names: Vec::new(), notes: vec![guess.words] })
     }
 
     /// Reads all rows.
@@ -408,14 +434,24 @@ impl Table<'_> {
                 return Err(self.fails(*line, self.uneven(plan, fields.len(), count)));
             }
             let number = |used: &Used, most: f64| self.number(*line, used, &fields, most);
-            raw.points.push([number(a, FARTHEST_M)?, number(b, FARTHEST_M)?]);
+            let mut point = [number(a, FARTHEST_M)?, number(b, FARTHEST_M)?];
+            let mut alpha_m = 0.0;
+            if let Some(Beside { alpha, normal: [x, y] }) = &plan.beside {
+                alpha_m = number(alpha, WIDEST_M)?;
+                point[0] += alpha_m * number(x, 1.01)?;
+                point[1] += alpha_m * number(y, 1.01)?;
+            }
+            raw.points.push(point);
             if let Some(used) = speed {
                 let speed_mps = self.speed(*line, used, &fields)?;
                 standing += usize::from(speed_mps < 0.0);
                 raw.speeds_mps.push(speed_mps.max(0.0));
             }
             if let Some((left, right)) = widths {
-                raw.widths_m.push([number(left, WIDEST_M)?.abs(), number(right, WIDEST_M)?.abs()]);
+                let edges_m = [number(left, WIDEST_M)?.abs(), number(right, WIDEST_M)?.abs()];
+                // The nearer the line is to one of them, the farther it is from the other.
+                raw.widths_m
+                    .push([(edges_m[0] + alpha_m).max(0.0), (edges_m[1] - alpha_m).max(0.0)]);
             }
             raw.lines.push(*line);
         }
@@ -496,6 +532,15 @@ impl Table<'_> {
             format!("{name} is {field}, but must lie in [0, {FASTEST_MPS}] m/s; {why}"),
         ))
     }
+}
+
+/// The columns that lead from a reference line to the line, if there are such.
+fn beside(names: &[String]) -> Option<Beside> {
+    let used = |wanted: &str| {
+        let index = names.iter().position(|name| is_named(name, wanted))?;
+        Some(Used { role: Role::X, unit: Role::X.unit(), index, name: names[index].clone() })
+    };
+    Some(Beside { alpha: used("alpha")?, normal: [used("x_normvec")?, used("y_normvec")?] })
 }
 
 /// What the columns are read as.

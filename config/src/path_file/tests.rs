@@ -226,6 +226,43 @@ fn tables_of_many_tools_are_read_and_told() {
 }
 
 #[test]
+fn a_raceline_beside_its_reference_line_is_the_one_that_is_driven() {
+    // To the east, the normal points to the south.
+    let header = "# x_ref_m; y_ref_m; width_right_m; width_left_m; x_normvec_m; y_normvec_m; alpha_m; s_racetraj_m; \
+                  psi_racetraj_rad; kappa_racetraj_radpm; vx_racetraj_mps; ax_racetraj_mps2\n";
+    let rows = "0; 0; 3; 4; 0; -1; 0.5; 0; 0; 0; 7; 0\n5; 0; 3; 4; 0; -1; -1; 5; 0; 0; 8; 0\n";
+    let file = read(&format!("# id\n{header}{rows}")).unwrap();
+    assert_eq!(file.points, [[0.0, -0.5], [5.0, 1.0]]);
+    assert_eq!(file.widths_m, [[4.5, 2.5], [3.0, 4.0]]);
+    assert_eq!(file.speeds_mps, [7.0, 8.0]);
+    let notes = file.notes.join("; ");
+    assert!(notes.contains("alpha_m beside that reference line, to the right"), "{notes}");
+    // Without the normals the reference line is all there is.
+    let file = read("x_ref_m,y_ref_m,alpha_m\n0,0,1\n5,0,1\n").unwrap();
+    assert_eq!(file.points[1], [5.0, 0.0]);
+}
+
+#[test]
+fn speeds_that_are_not_read_are_told() {
+    let notes = |text: &str| read(text).unwrap().notes.join("; ");
+    let told = notes("x_m,y_m,v_max,target_speed_a,variance,vy\n0,0,1,2,3,4\n5,0,1,2,3,4\n");
+    assert_eq!(told, "not read: v_max, target_speed_a");
+    assert_eq!(notes("x_m,y_m,v_mps,vy_mps\n0,0,1,0\n5,0,1,0\n"), "");
+}
+
+#[test]
+fn a_car_that_stood_long_leaves_no_gap_behind_it() {
+    let stood = (0..40)
+        .map(|it| format!("{:.2},{:.2}\n", 0.15 * f64::from(it % 3), 0.1 * f64::from(it % 2)));
+    let drove = (1..=30).map(|it| format!("{},0\n", 8 * it));
+    let text: String = std::iter::once("x_m,y_m\n".to_owned()).chain(stood).chain(drove).collect();
+    assert_eq!(read(&text).unwrap().points.len(), 70);
+    let rows: String =
+        (0..40).map(|it| format!("{},0\n", if it < 20 { it } else { it + 11 })).collect();
+    assert!(message(&format!("x_m,y_m\n{rows}")).contains("12.00 m after the point of line 21"));
+}
+
+#[test]
 fn comments_are_no_header_unless_they_name_the_rows_columns() {
     let check = |text: &str, points: &[[f64; 2]]| {
         let file = read(text).unwrap_or_else(|error| panic!("{text:?}: {error}"));
