@@ -116,9 +116,9 @@ impl Layers {
         let mut path = make(&origin, &mut given, below, options)?;
         if let Some(start) = start {
             refuse_zones_with_start(file)?;
-            let [x_m, y_m] = given.origin;
-            let start = StartAt { x_m: start.x_m - x_m, y_m: start.y_m - y_m, ..start };
-            path.begin_at(&origin, start)?;
+            let ([x_m, y_m], words) = given.place([start.x_m, start.y_m]);
+            given.notes.extend(words.map(|words| format!("--start {start} is taken as {words}")));
+            path.begin_at(&origin, StartAt { x_m, y_m, ..start })?;
         }
         self.note(given.notes.iter().map(|note| format!("{origin}: {note}")));
 
@@ -444,6 +444,40 @@ mod tests {
         let message = own_path(folder.path()).unwrap_err().to_string();
         assert!(message.contains("it is a folder; name the bag in it, "), "{message}");
         assert!(message.ends_with("run_0.mcap"), "{message}");
+    }
+
+    #[test]
+    fn a_start_is_in_the_coordinates_of_the_file() {
+        // A circle 44.6 m wide to the east, at 60° where a unit of web-Mercator is half a metre.
+        let circle = |[x, y]: [f64; 2], [dx, dy]: [f64; 2]| -> String {
+            let angle = |at: i32| std::f64::consts::TAU * f64::from(at % 24) / 24.0;
+            let [east, north] =
+                [|it: f64| 0.5 - 0.5 * libm::cos(it), |it: f64| 0.5 * libm::sin(it)];
+            let row = |it: f64| format!("{},{}\n", x + dx * east(it), y + dy * north(it));
+            (0..=24).map(|at| row(angle(at))).collect()
+        };
+        let starts = |text: &str, crs: Option<&str>, at: &str, told: &str| {
+            let (_folder, file) = folder(text, None);
+            let options =
+                PathOptions { crs: crs.map(|it| it.parse().unwrap()), ..Default::default() };
+            let mut layers = Layers::own_path();
+            layers.add_path_with(&file, Some(at.parse().unwrap()), &options).unwrap();
+            let notes = layers.notes().join("; ");
+            assert!(notes.contains(told), "{notes}");
+            let start = layers.resolve().unwrap().path.start;
+            let off_m = libm::hypot(start.x_m - 44.6, start.y_m);
+            assert!(off_m < 0.5, "{at}: ({}, {})", start.x_m, start.y_m);
+        };
+        let degrees = format!("lon,lat\n{}", circle([11.0, 60.0], [0.0008, 0.0004]));
+        starts(&degrees, None, "60,11.0008", "taken as latitude 60, longitude 11.0008");
+        starts(&degrees, None, "11.0008,60", "taken as latitude 60, longitude 11.0008");
+        starts(&degrees, None, "44.6,0", "taken as metres east and north");
+        let y = 8_399_737.889_818_36;
+        let mercator = format!("x,y\n{}", circle([1_289_000.0, y], [89.2, 89.2]));
+        let at = format!("1289089.2,{y}");
+        starts(&mercator, Some("web-mercator"), &at, "taken as web-Mercator");
+        let utm = format!("x,y\n{}", circle([482_301.0, 4_419_876.0], [44.6, 44.6]));
+        starts(&utm, None, "482345.6,4419876", "taken as the file's own coordinates");
     }
 
     #[test]

@@ -35,10 +35,46 @@ pub(crate) struct PathFile {
     pub(crate) widths_m: Vec<[f64; 2]>,
     /// The line of each point.
     pub(crate) lines: Vec<usize>,
-    /// What the points are seen from, in the file's own coordinates; 0 if they are the file's.
-    pub(crate) origin: [f64; 2],
+    /// What the file's coordinates are.
+    crs: Crs,
+    /// What the points are seen from, in the file's own coordinates, latitude before longitude; 0 if they are the file's.
+    origin: [f64; 2],
     /// How the file was read: what the user may not expect.
     pub(crate) notes: Vec<String>,
+}
+
+impl PathFile {
+    /// A place that a user gives in the file's coordinates, in those of the points; and what it is taken for, if that is not plain.
+    /// Beside latitudes and longitudes it may be in metres, too, as the points are told: a degree is farther than any path is long.
+    pub(crate) fn place(&self, [a, b]: [f64; 2]) -> ([f64; 2], Option<String>) {
+        const NEAR_DEG: f64 = 1.0;
+        let [x, y] = self.origin;
+        match self.crs {
+            Crs::Metres if self.origin == [0.0, 0.0] => ([a, b], None),
+            Crs::Metres => {
+                ([a - x, b - y], Some("the file's own coordinates, in metres".to_owned()))
+            }
+            Crs::WebMercator => {
+                let point = geo::from_mercator(&[self.origin, [a, b]])[1];
+                (point, Some("web-Mercator, and scaled as the points are".to_owned()))
+            }
+            Crs::Wgs84 => {
+                let off_deg = |[lat, lon]: &[f64; 2]| (lat - x).abs().max((lon - y).abs());
+                let [latitude_first, longitude_first] = [[a, b], [b, a]];
+                let nearer = if off_deg(&longitude_first) < off_deg(&latitude_first) {
+                    longitude_first
+                } else {
+                    latitude_first
+                };
+                if off_deg(&nearer) > NEAR_DEG {
+                    let words = "metres east and north of the first point".to_owned();
+                    return ([a, b], Some(words));
+                }
+                let words = format!("latitude {}, longitude {}", nearer[0], nearer[1]);
+                (geo::from_degrees(&[self.origin, nearer])[1], Some(words))
+            }
+        }
+    }
 }
 
 /// A path that something else has read from a file, such as a bag.
@@ -198,7 +234,7 @@ fn flattened(origin: &str, raw: Raw, options: &PathOptions) -> Result<PathFile, 
         }
         Crs::Metres => points,
     };
-    Ok(PathFile { points, speeds_mps, widths_m, lines, origin: seen_from, notes })
+    Ok(PathFile { points, speeds_mps, widths_m, lines, crs, origin: seen_from, notes })
 }
 
 fn mistake(origin: &str, line: usize, problem: impl Into<String>) -> ConfigError {

@@ -175,7 +175,7 @@ fn without_repeats(file: PathFile) -> PathFile {
     if dropped == 0 || kept.len() < 2 {
         return file;
     }
-    let PathFile { points, speeds_mps, widths_m, lines, origin, mut notes } = file;
+    let PathFile { points, speeds_mps, widths_m, lines, crs, origin, mut notes } = file;
     let (points_do, are) = if dropped == 1 { ("point lies", "is") } else { ("points lie", "are") };
     notes.push(match is_repeated {
         true if dropped == 1 => "1 point repeats the point before, and is left out".to_owned(),
@@ -194,6 +194,7 @@ fn without_repeats(file: PathFile) -> PathFile {
             kept.iter().map(|index| widths_m[*index]).collect()
         },
         lines: kept.iter().map(|index| lines[*index]).collect(),
+        crs,
         origin,
         notes,
     }
