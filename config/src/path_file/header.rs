@@ -170,10 +170,18 @@ fn is_unit(word: &str) -> bool {
 }
 
 fn role(words: &[&str]) -> Option<Role> {
+    // field.latitude, gps_lat: what stands beside it names the message or the receiver.
+    let is_beside = |word: &&str| {
+        BESIDE.contains(word) || matches!(*word, "gps" | "gnss" | "fix" | "navsatfix")
+    };
+    let mut of_place = words.iter().copied().filter(|word| !is_beside(word));
+    match (of_place.next(), of_place.next()) {
+        (Some("lat" | "latitude"), None) => return Some(Role::Lat),
+        (Some("lon" | "lng" | "long" | "longitude"), None) => return Some(Role::Lon),
+        _ => {}
+    }
     let joined = words.join("_");
     match joined.as_str() {
-        "lat" | "latitude" => return Some(Role::Lat),
-        "lon" | "lng" | "long" | "longitude" => return Some(Role::Lon),
         "easting" | "east" | "utm_easting" | "utm_east" => return Some(Role::X),
         "northing" | "north" | "utm_northing" | "utm_north" => return Some(Role::Y),
         "left" | "w_left" | "w_tr_left" | "width_left" | "left_width" | "left_bound" => {
@@ -210,6 +218,11 @@ fn role(words: &[&str]) -> Option<Role> {
         Some(Role::Y) if is_twist => None,
         role => role,
     }
+}
+
+/// Whether a field is nothing but a unit, as below the names of some tools.
+pub(super) fn is_only_unit(field: &str) -> bool {
+    is_unit(field.trim_matches(['[', ']', '(', ')']).trim().to_lowercase().as_str())
 }
 
 /// Whether a name says that its column is a speed of some kind, as that of a limit, and not one across the line.
@@ -259,6 +272,9 @@ mod tests {
             ("utm_easting", Role::X, None),
             ("Latitude", Role::Lat, None),
             ("lng", Role::Lon, None),
+            ("field.latitude", Role::Lat, None),
+            ("gps_lat", Role::Lat, None),
+            ("GPS Longitude", Role::Lon, None),
             ("lat_deg", Role::Lat, Some("degrees")),
             ("v", Role::Speed, None),
             ("vx_mps", Role::Speed, Some("m/s")),

@@ -148,15 +148,22 @@ pub(super) fn split(text: &str) -> (Vec<Line<'_>>, Vec<Line<'_>>) {
             }
             Some(_) => {}
             None if content.is_empty() => {}
-            // A comment behind the values.
-            None => {
-                let values =
-                    content.split_once(" #").map_or(content, |(values, _)| values.trim_end());
-                body.push((line, values));
-            }
+            None => body.push((line, values(content))),
         }
     }
     (body, comments)
+}
+
+/// The values of a line, without a comment behind them, and without the sign that ends a row of MATLAB's. A sign that is a field, or
+/// ends one, as of the name `Lap #`, begins no comment.
+fn values(content: &str) -> &str {
+    let is_comment = |at: &usize| !content[at + 2..].trim_start().starts_with([',', ';', '|']);
+    let comment = content.match_indices(" #").map(|(at, _)| at).find(is_comment);
+    let values = comment.map_or(content, |at| content[..at].trim_end());
+    match values.strip_suffix(';') {
+        Some(row) if !row.contains(';') && row.contains([',', ' ', '\t']) => row,
+        _ => values,
+    }
 }
 
 /// A number as it is written in a file; `comma` says that its decimals stand after a comma.

@@ -1,6 +1,8 @@
 //! Reads the rows of a table: which columns count, and their numbers.
 
-use super::header::{Role, Unit, is_named, is_speed_in_si, meaning, sounds_like_speed, unit_told};
+use super::header::{
+    Role, Unit, is_named, is_only_unit, is_speed_in_si, meaning, sounds_like_speed, unit_told,
+};
 use super::lines::{self, Delimiter, Line};
 use super::options::{Columns, Place};
 use super::{PathOptions, Raw, headless, mistake, quoted};
@@ -92,6 +94,10 @@ pub(super) fn read(origin: &str, text: &str, options: &PathOptions) -> Result<Ra
     };
     let (of_names, delimiter) = Delimiter::of_table(header.map(|(_, names)| names), sample);
     let table = Table { origin, header, data, of_names, delimiter, comma: false };
+    if header.is_some() && delimiter.fields(sample).into_iter().all(is_only_unit) {
+        let problem = "holds the units of the names above; write them into those, as x [m] or v_kmh, and leave this line out";
+        return Err(mistake(origin, data[0].0, problem));
+    }
     let table = Table { comma: table.has_decimal_commas(), ..table };
     let plan = table.plan(options.columns.as_ref())?;
     let mut raw = table.rows(&plan)?;
@@ -570,6 +576,8 @@ fn exact_names(role: Role) -> &'static [&'static str] {
         Role::X => &["x_m", "x"],
         Role::Y => &["y_m", "y"],
         Role::Speed => &["v_mps", "vx_mps"],
+        Role::Lat => &["lat", "latitude"],
+        Role::Lon => &["lon", "longitude"],
         _ => &[],
     }
 }

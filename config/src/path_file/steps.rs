@@ -26,7 +26,8 @@ const LONG_STEP_M: f64 = 20.0;
 
 /// The path without points that repeat the one before, if its steps are those of a path.
 pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigError> {
-    let mut file = without_repeats(file);
+    let same_m = (STANDING_SHARE * usual_step_m(&file.points)).clamp(SAME_POINT_M, STANDING_M);
+    let mut file = without_repeats(file, same_m);
     let steps: Vec<_> = file.points.windows(2).map(|pair| apart_m(pair[0], pair[1])).collect();
     let lines = &file.lines;
     let length_m: f64 = steps.iter().sum();
@@ -67,6 +68,11 @@ pub(super) fn checked(origin: &str, file: PathFile) -> Result<PathFile, ConfigEr
     let gap_m = apart_m(file.points[0], file.points[last]);
     if gap_m <= SAME_POINT_M && last >= 3 {
         file.points[last] = file.points[0];
+    } else if gap_m <= same_m && last >= 3 && is_lap(&file.points) {
+        // Another point so near would be a kink, or a step back.
+        file.points[last] = file.points[0];
+        file.notes
+            .push(format!("its end lies {:.0} mm from its start: closed there", 1000.0 * gap_m));
     } else if is_steps_open(&file.points, gap_m, median_m, UNEVEN) {
         // Racelines leave out the last point, because it is the first one.
         file.points.push(file.points[0]);
@@ -158,8 +164,7 @@ fn usual_step_m(points: &[[f64; 2]]) -> f64 {
 }
 
 /// Leaves out points at which the recorded car stood still, at the start, midway or at the end.
-fn without_repeats(file: PathFile) -> PathFile {
-    let same_m = (STANDING_SHARE * usual_step_m(&file.points)).clamp(SAME_POINT_M, STANDING_M);
+fn without_repeats(file: PathFile, same_m: f64) -> PathFile {
     let mut kept: Vec<usize> = vec![0];
     let mut is_repeated = true;
     for index in 1..file.points.len() {
@@ -216,6 +221,14 @@ fn speeds_of(kept: &[usize], speeds_mps: &[f64]) -> Vec<f64> {
             }
         })
         .collect()
+}
+
+/// Whether a path with its ends at one place goes on there in the direction in which it came.
+fn is_lap(points: &[[f64; 2]]) -> bool {
+    let count = points.len();
+    let ([ax, ay], [bx, by]) = (points[0], points[1]);
+    let ([cx, cy], [dx, dy]) = (points[count - 2], points[count - 1]);
+    (bx - ax) * (dx - cx) + (by - ay) * (dy - cy) > 0.0
 }
 
 /// By how much the missing step of a lap may be longer than those around it; and with how many such steps missing it still

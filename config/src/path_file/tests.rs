@@ -29,6 +29,8 @@ fn every_mistake_names_its_line_and_the_way_out() {
     check("1\n2\n3", &["p.csv:1:", "one column"]);
     check("x_m,y_m,v_mps\n0,0,1\n1,0,\n", &["p.csv:3:", "v_mps is empty"]);
     check("x,y,speed\n0,0,2\n1,0,2\n", &["p.csv:1:", "speed without a unit", "v_mps=3", "v_kmh=3"]);
+    check("x,y,v\nm,m,km/h\n0,0,1\n", &["p.csv:2:", "units", "into those", "leave this line out"]);
+    check("x\ty\n[m]\t[m]\n0\t0\n", &["p.csv:2:", "units"]);
     check("x_yd,y_yd\n0,0\n1,0\n", &["p.csv:1:", "in yd", "--columns"]);
     check("lat,lon,speed\n48,11,2\n48,11.01,2\n", &["p.csv:1:", "lat=1,lon=2,v_mps=3"]);
     check("x,pos_x,ref_x,y\n", &["p.csv:1:", "no points"]);
@@ -94,6 +96,21 @@ fn a_lap_that_goes_on_beyond_its_start_is_told_with_the_line_at_which_it_is_whol
     for last in [60, 40] {
         assert!(!read(&text(last)).unwrap().notes.join("; ").contains("goes on"), "{last}");
     }
+}
+
+#[test]
+fn a_lap_with_its_ends_almost_together_is_closed_at_one_point() {
+    let lap = |end: &str| read(&format!("x_m,y_m\n0,0\n5,-1\n8,3\n4,8\n-2,6\n-4,2\n{end}\n"));
+    for end in ["0.02,0.01", "-0.02,0.01", "0.002,0"] {
+        let file = lap(end).unwrap();
+        assert_eq!((file.points.len(), file.points[0]), (7, file.points[6]), "{end}");
+        let told = file.notes.join("; ");
+        assert!(told.contains("mm from its start: closed there"), "{told}");
+    }
+    assert_eq!(lap("-0.5,0.1").unwrap().points.len(), 8);
+    // There and back is no lap.
+    let back = read("x_m,y_m\n0,0\n5,0\n9,1\n9,2\n5,1\n0.02,0\n").unwrap();
+    assert_ne!(back.points[0], back.points[5]);
 }
 
 #[test]
@@ -175,6 +192,10 @@ fn tables_of_many_tools_are_read_and_told() {
     check("\"1,0\",\"2,0\"\n\"3,0\",\"-4,5\"\n", &[], "after a comma");
     check("name,x,y\n\"Oak St., 5\",1,2\n\"5\" pipe\",3,-4.5\n", &[], "x");
     check("(1, 2)\n(3, -4.5)\n", &[], "columns 1, 2");
+    check("1.0,2.0;\n3.0,-4.5;\n", &[], "columns 1, 2");
+    check("[1.0 2.0;\n3.0 -4.5];\n", &[], "columns 1, 2");
+    check("1;2;\n3;-4,5;\n", &[], "after a comma");
+    check("Lap #,x,y # of Monday\n1,1,2 # start\n1,3,-4.5\n", &[], "x_m from x");
     check(
         "1,2,0.5\n3,-4.5,0.5\n",
         &[],
