@@ -147,8 +147,11 @@ proptest! {
         bytes in prop::collection::vec(any::<u8>(), 0..60),
         like in "(# ?)?(x_m|y_m|v_mps|s)([,;\t |](x_m|y_m|v_mps)){0,3}\r?\n([-0-9.einfa,;#\" \r\u{85}]{0,12}\n){0,6}",
     ) {
-        for bytes in [any.as_bytes(), &bytes, like.as_bytes()] {
-            match parse("p.csv", bytes, &PathOptions::default()) {
+        let columns = [None, Some("x=x_m,y=y_m"), Some("x=2,y=1,v=3")];
+        let files = [any.as_bytes(), &bytes, like.as_bytes()];
+        for (bytes, columns) in files.into_iter().flat_map(|it| columns.map(|columns| (it, columns))) {
+            let columns = columns.map(|it| it.parse().unwrap());
+            match parse("p.csv", bytes, &PathOptions { columns, ..PathOptions::default() }) {
                 Ok(file) => {
                     prop_assert!(file.points.len() >= 2);
                     prop_assert_eq!(file.points.len(), file.lines.len());
