@@ -117,8 +117,13 @@ impl Layers {
         if let Some(start) = start {
             refuse_zones_with_start(file)?;
             let ([x_m, y_m], words) = given.place([start.x_m, start.y_m]);
-            given.notes.extend(words.map(|words| format!("--start {start} is taken as {words}")));
-            path.begin_at(&origin, StartAt { x_m, y_m, ..start })?;
+            let told = words.map(|words| format!("--start {start} is taken as {words}"));
+            path.begin_at(&origin, StartAt { x_m, y_m, ..start }).map_err(|error| {
+                // What it names is what was made of the user's numbers.
+                let problem = told.iter().fold(error.problem, |it, told| format!("{it}; {told}"));
+                ConfigError { problem, ..error }
+            })?;
+            given.notes.extend(told);
         }
         self.note(given.notes.iter().map(|note| format!("{origin}: {note}")));
 
@@ -472,6 +477,14 @@ mod tests {
         starts(&degrees, None, "60,11.0008", "taken as latitude 60, longitude 11.0008");
         starts(&degrees, None, "11.0008,60", "taken as latitude 60, longitude 11.0008");
         starts(&degrees, None, "44.6,0", "taken as metres east and north");
+        let (_folder, file) = folder(&degrees, None);
+        let far = Some("60.1,11".parse().unwrap());
+        let far = Layers::own_path().add_path_with(&file, far, &PathOptions::default());
+        let far = far.unwrap_err().to_string();
+        assert!(
+            far.contains("; --start (60.1, 11) is taken as latitude 60.1, longitude 11"),
+            "{far}"
+        );
         let y = 8_399_737.889_818_36;
         let mercator = format!("x,y\n{}", circle([1_289_000.0, y], [89.2, 89.2]));
         let at = format!("1289089.2,{y}");
