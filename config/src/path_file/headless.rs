@@ -80,7 +80,7 @@ pub(super) fn guess(rows: &[Vec<f64>]) -> Result<Guess, String> {
     let second: Vec<f64> = rows.iter().map(|row| row[1]).collect();
     // Of a straight along an axis, one of the coordinates does not vary.
     let may_be_time = || match varies(rows, 2) {
-        true => is_roughly_even(&first),
+        true => is_even(&first) || (is_roughly_even(&first) && is_way(rows)),
         false => is_even(&first) && is_even(&second),
     };
     if rises && has_third && varies(rows, 1) && may_be_time() {
@@ -151,6 +151,17 @@ fn is_roughly_even(values: &[f64]) -> bool {
     let usual = steps[steps.len() / 2];
     let near = steps.iter().filter(|step| (*step / usual - 1.0).abs() < 0.5).count();
     5 * near >= 4 * steps.len()
+}
+
+/// Whether columns 2 and 3 come along as a vehicle does, column 1 being the time: at a walking pace at least.
+fn is_way(rows: &[Vec<f64>]) -> bool {
+    let speed = |pair: &[Vec<f64>]| {
+        let (last, next) = (&pair[0], &pair[1]);
+        libm::hypot(next[1] - last[1], next[2] - last[2]) / (next[0] - last[0])
+    };
+    let mut speeds: Vec<f64> = rows.windows(2).map(speed).collect();
+    speeds.sort_by(f64::total_cmp);
+    speeds[speeds.len() / 2] > 0.3
 }
 
 /// Whether two columns from this one on may be coordinates: numbers that change.

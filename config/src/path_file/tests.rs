@@ -369,6 +369,9 @@ fn a_table_without_a_header_is_not_guessed_where_it_may_be_another() {
     asked(jitter, "rises almost evenly");
     let widths = "0,0,1.1\n1,0.1,1.1\n1.9,0.3,1.1\n3.1,0.9,1.1\n";
     assert_eq!(path(widths).unwrap()[1], [1.0, 0.1]);
+    // Speeds beside x and y do not come along as a vehicle does.
+    let speeds = "0,0,2\n1,0.1,2.02\n1.9,0.3,2.05\n3.1,0.5,2.1\n";
+    assert_eq!(path(speeds).unwrap()[1], [1.0, 0.1]);
     let back = "0,0,1\n1,0.1,2\n1.9,0.3,3\n1.5,1,3\n";
     assert_eq!(path(back).unwrap()[3], [1.5, 1.0]);
     // Words and gaps are no coordinates.
