@@ -42,7 +42,8 @@ pub(crate) fn computed(stretches: &[Stretch]) -> Option<Computed> {
     };
     let moving: Vec<usize> =
         (0..longest.len()).filter(|&at| longest.speed_mps[at] > MOVING_MPS).collect();
-    let commands: Vec<f64> = longest.time_s.iter().map(|time| command_at(longest, *time)).collect();
+    let commands: Vec<f64> =
+        longest.time_s.iter().map(|time| longest.command_at(*time).steering_rad).collect();
     let steering: Vec<usize> =
         moving.iter().copied().filter(|&at| commands[at].abs() > 0.05).collect();
     let rms = |at: &[usize]| {
@@ -143,7 +144,7 @@ pub(crate) fn speed_is_commanded(stretches: &[Stretch]) -> bool {
     let (mut all, mut alike) = (0, 0);
     for stretch in stretches {
         let commanded: Vec<f64> =
-            stretch.time_s.iter().map(|time| command_of(stretch, *time).1).collect();
+            stretch.time_s.iter().map(|time| stretch.command_at(*time).speed_mps).collect();
         for at in WITHIN..stretch.len() {
             let change = (commanded[at] - commanded[at - WITHIN]).abs();
             if change > CHANGED_MPS {
@@ -157,18 +158,6 @@ pub(crate) fn speed_is_commanded(stretches: &[Stretch]) -> bool {
         }
     }
     all >= LEAST && f64::from(alike as u32) >= SHARE_OF_SAMPLES * f64::from(all as u32)
-}
-
-/// The steering command that was held at a time.
-fn command_at(stretch: &Stretch, time_s: f64) -> f64 {
-    command_of(stretch, time_s).0
-}
-
-/// The commanded steering angle and speed that were held at a time.
-fn command_of(stretch: &Stretch, time_s: f64) -> (f64, f64) {
-    let next = stretch.commands.partition_point(|it| it.time_s <= time_s + 1e-9);
-    let held = next.checked_sub(1).map(|at| stretch.commands[at]);
-    held.map_or((0.0, 0.0), |it| (it.steering_rad, it.speed_mps))
 }
 
 /// How well the yaw rate follows the commands: the correlation of largest size over some delays. Rates beyond those of nine
@@ -191,7 +180,7 @@ pub(crate) fn follows(stretches: &[Stretch]) -> f64 {
         for (stretch, rates) in stretches.iter().zip(&rates) {
             for (at, rate) in rates.iter().enumerate() {
                 let rate = rate.clamp(-limit, limit);
-                let command = command_at(stretch, stretch.time_s[at] - delay_s);
+                let command = stretch.command_at(stretch.time_s[at] - delay_s).steering_rad;
                 let expected = stretch.smooth_mps[at] * libm::tan(command.clamp(-1.4, 1.4));
                 (xx, yy, xy) = (xx + expected * expected, yy + rate * rate, xy + expected * rate);
             }

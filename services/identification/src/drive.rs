@@ -47,6 +47,8 @@ const SHORTEST_S: f64 = 4.0;
 pub(crate) const STANDING_MPS: f64 = 0.05;
 /// Half the length of the mean that takes the noise out of a measured speed.
 const SMOOTHED_S: f64 = 0.07;
+/// What rounding may do to a time.
+const ROUNDING_S: f64 = 1e-9;
 
 /// A stretch of a drive without gaps, as arrays.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,6 +72,27 @@ pub(crate) struct Stretch {
 impl Stretch {
     pub(crate) fn len(&self) -> usize {
         self.time_s.len()
+    }
+
+    /// The command that had been given last at a time; that of a car at rest, if none had.
+    pub(crate) fn command_at(&self, time_s: f64) -> Command {
+        let next = self.commands.partition_point(|it| it.time_s <= time_s + ROUNDING_S);
+        next.checked_sub(1).map_or(Command::default(), |at| self.commands[at])
+    }
+
+    /// The command that acts at the beginning, of those that arrive `delay_s` late. If none has arrived yet, the first one is
+    /// taken to act where the recording begins within a drive; nothing acts on a car that stands, as its commands begin later.
+    pub(crate) fn first_acting(&self, delay_s: f64) -> Command {
+        match self.arrived_first(delay_s) {
+            0 if self.from_rest => Command::default(),
+            0 => self.commands.first().copied().unwrap_or_default(),
+            arrived => self.commands[arrived - 1],
+        }
+    }
+
+    /// How many commands, of those that arrive `delay_s` late, have arrived at the beginning.
+    fn arrived_first(&self, delay_s: f64) -> usize {
+        self.commands.partition_point(|it| it.time_s + delay_s <= self.time_s[0] + ROUNDING_S)
     }
 
     /// Seconds in which the car moved.
@@ -111,19 +134,23 @@ fn stretch(odometry: &[Odometry], commands: &[Command]) -> Stretch {
     let first_s = time_s[0] - 2.0;
     let begin = commands.partition_point(|it| it.time_s < first_s).saturating_sub(1);
     let end = commands.partition_point(|it| it.time_s <= time_s[time_s.len() - 1]);
-    let standing = time_s.partition_point(|time| *time < time_s[0] + 0.5).max(1);
     Stretch {
         commands: commands[begin.min(end)..end].to_vec(),
         x_m: array(|it| it.x_m),
         y_m: array(|it| it.y_m),
         yaw_rad,
         yaw_rate_radps: array(|it| it.yaw_rate_radps),
-        from_rest: smooth_mps[..standing].iter().all(|speed| *speed < STANDING_MPS),
+        from_rest: begins_at_rest(&time_s, &smooth_mps),
         time_s,
         speed_mps,
         smooth_mps,
         tick_s,
     }
+}
+
+fn begins_at_rest(time_s: &[f64], smooth_mps: &[f64]) -> bool {
+    let standing = time_s.partition_point(|time| *time < time_s[0] + 0.5).max(1);
+    smooth_mps[..standing].iter().all(|speed| *speed < STANDING_MPS)
 }
 
 /// The median of five, and of that the mean over `half` samples on either side: without delay.
@@ -150,20 +177,12 @@ pub(crate) fn walk(
     longest_s: f64,
     mut part: impl FnMut(usize, &Command, f64),
 ) {
-    const ROUNDING_S: f64 = 1e-9;
-    let none = Command::default();
     let commands = &stretch.commands;
     let mut now_s = stretch.time_s[0];
-    let next_after = |delay_s: f64| {
-        commands.partition_point(|it| it.time_s + delay_s <= stretch.time_s[0] + ROUNDING_S)
-    };
-    let mut next = next_after(delay_s);
-    let mut next_cut = cut_s.map_or(commands.len(), next_after);
-    // Before the first command arrives, the first one is taken to hold, as the recording begins within a drive.
-    let mut held = match next {
-        0 => commands.first().unwrap_or(&none),
-        next => &commands[next - 1],
-    };
+    let mut next = stretch.arrived_first(delay_s);
+    let mut next_cut = cut_s.map_or(commands.len(), |cut_s| stretch.arrived_first(cut_s));
+    let first = stretch.first_acting(delay_s);
+    let mut held = &first;
     for index in 1..stretch.len() {
         let end_s = stretch.time_s[index];
         loop {
@@ -236,17 +255,19 @@ impl Stretch {
         let commands = &self.commands;
         let begin = commands.partition_point(|it| it.time_s < first_s - 2.0).saturating_sub(1);
         let end = commands.partition_point(|it| it.time_s <= last_s);
-        let smooth_mps = cut(&self.smooth_mps);
+        let (time_s, smooth_mps) = (cut(&self.time_s), cut(&self.smooth_mps));
+        // A car that stands after it was told to stop is midway in something; before its first command it is not.
+        let is_first = range.start == 0 || commands.first().is_none_or(|it| it.time_s > first_s);
         Self {
             commands: commands[begin.min(end)..end].to_vec(),
-            time_s: cut(&self.time_s),
             x_m: cut(&self.x_m),
             y_m: cut(&self.y_m),
             yaw_rad: cut(&self.yaw_rad),
             speed_mps: cut(&self.speed_mps),
             yaw_rate_radps: cut(&self.yaw_rate_radps),
             tick_s: self.tick_s,
-            from_rest: range.start == 0 && self.from_rest,
+            from_rest: self.from_rest && is_first && begins_at_rest(&time_s, &smooth_mps),
+            time_s,
             smooth_mps,
         }
     }

@@ -124,10 +124,8 @@ pub(crate) fn run(stretch: &Stretch, vehicle: &Vehicle) -> Vec<SpeedLoop> {
     let mut state = match stretch.from_rest {
         true => SpeedLoop::default(),
         false => {
-            let acting_s = stretch.time_s[0] - vehicle.speed_delay_s;
-            let arrived = stretch.commands.partition_point(|it| it.time_s <= acting_s);
-            let acting = stretch.commands.get(arrived.saturating_sub(1));
-            let command_mps = acting.map_or(0.0, |it| it.speed_mps.min(vehicle.speed_limit_mps));
+            let acting = stretch.first_acting(vehicle.speed_delay_s);
+            let command_mps = acting.speed_mps.min(vehicle.speed_limit_mps);
             SpeedLoop::midway(
                 vehicle,
                 stretch.smooth_mps[0],

@@ -63,17 +63,22 @@ const MOST_STOP_RAD: f64 = 1.5;
 /// So many steps of the command, at least, tell how quick the wheels are.
 const TELLING_STEPS: usize = 5;
 
+/// Wheels may turn by so many times as much as they are told.
+const MOST_TURNED: f64 = 2.0;
+
 /// A steering rate from which on the wheels keep up with these commands from one sample to the next: a quicker one cannot
-/// show. Single steps, as where a recording begins, do not count.
+/// show. What is held at the samples counts: commands may come several times between two of them. Single steps, as where a
+/// recording begins, do not count.
 fn quickest_radps(stretches: &[Stretch]) -> f64 {
     let of_stretch = |it: &Stretch| {
+        let held: Vec<f64> =
+            it.time_s.iter().map(|&time| it.command_at(time).steering_rad).collect();
         let tick_s = it.tick_s;
-        let steps = it.commands.windows(2).map(|two| two[1].steering_rad - two[0].steering_rad);
-        steps.map(|step| step.abs() / tick_s).collect::<Vec<f64>>()
+        held.windows(2).map(|two| (two[1] - two[0]).abs() / tick_s).collect::<Vec<f64>>()
     };
     let mut rates: Vec<f64> = stretches.iter().flat_map(of_stretch).collect();
     rates.sort_unstable_by(|a, b| b.total_cmp(a));
-    let rate = rates.get(TELLING_STEPS - 1).copied().unwrap_or(0.0);
+    let rate = MOST_TURNED * rates.get(TELLING_STEPS - 1).copied().unwrap_or(0.0);
     rate.clamp(2.0 * libm::exp(LEAST_LOG_RATE), MOST_RATE_RADPS)
 }
 
@@ -112,8 +117,8 @@ pub(crate) fn to_vehicle(at: &[f64], vehicle: &Vehicle) -> Vehicle {
 /// The angle of the road wheels at each sample.
 pub(crate) fn wheels(stretch: &Stretch, vehicle: &Vehicle) -> Vec<f64> {
     let actuator = SteeringActuator::new(vehicle);
-    let first = stretch.commands.first().map_or(0.0, |it| it.steering_rad);
-    let mut angle_rad = actuator.target_rad(first);
+    let mut angle_rad =
+        actuator.target_rad(stretch.first_acting(vehicle.steering_delay_s).steering_rad);
     let mut angles = vec![angle_rad; stretch.len()];
     walk(stretch, vehicle.steering_delay_s, None, f64::INFINITY, |index, command, length_s| {
         angle_rad = actuator.turn(angle_rad, command.steering_rad, length_s);

@@ -364,3 +364,65 @@ fn wheels_that_turn_farther_than_the_file_s_limit_are_told_as_they_are() {
     let is_told = |it: &String| it.contains("the file's steering_limit_rad is 0.2");
     assert!(found.warnings.iter().any(is_told), "{:?}", found.warnings);
 }
+
+/// A sample in so many.
+fn thinned(mut drive: Drive, every: usize) -> Drive {
+    drive.odometry = drive.odometry.into_iter().step_by(every).collect();
+    drive
+}
+
+#[test]
+fn commands_that_come_oftener_than_odometry_do_not_bound_the_steering_rate() {
+    let (mut car, file, mut dice) = car();
+    // Ramps of 0.5 rad/s at 100 Hz, between angles that are held for a while.
+    let angles = [0.0_f64, 0.25, -0.25, 0.125, -0.125, 0.25, 0.0, -0.25];
+    let ramped = |time_s: f64| {
+        let (turn, since_s) = (((time_s - 3.0).max(0.0) / 2.0) as usize, (time_s - 3.0) % 2.0);
+        let (from, to) = (angles[turn % 8], angles[(turn + 1) % 8]);
+        let most = 0.5 * f64::max(since_s, 0.0);
+        let speed_mps = if time_s < 1.0 { 0.0 } else { [2.0, 3.0, 1.5][turn / 8 % 3] };
+        (from + (to - from).clamp(-most, most), speed_mps)
+    };
+    for rate_radps in [0.3, 2.0] {
+        car.steering_rate_radps = rate_radps;
+        let driven = drive(&car, 60.0, &SENSORS, &mut dice, ramped);
+        for every in [2, 5] {
+            let driven = thinned(driven.clone(), every);
+            let found = identify(&[driven], &file, Options::default()).unwrap();
+            let of = format!("rate {rate_radps}, every {every}: {:?}", found.rows);
+            // Wheels that keep up with the ramps do not show their rate.
+            let row = found.rows.iter().find(|it| it.key == "steering_rate_radps").unwrap();
+            match row.identified && !row.roughly {
+                true => assert!((row.after / rate_radps - 1.0).abs() < 0.05, "{of}"),
+                false => assert!(rate_radps > 0.5, "{of}"),
+            }
+            assert_eq!(told(&found, "steering_limit_rad"), None, "{of}");
+            assert!((found.vehicle.wheelbase_m / car.wheelbase_m - 1.0).abs() < 0.01, "{of}");
+            let sum_s = found.delay_and_lag.after - car.steering_delay_s - car.steering_lag_s;
+            assert!(sum_s.abs() < 0.02, "{sum_s} {of}");
+        }
+    }
+}
+
+#[test]
+fn a_car_that_stands_before_its_first_command_tells_the_same_speed_loop() {
+    let (car, file, mut dice) = car();
+    for wait_s in [1.0, 8.0] {
+        let waits = |time_s: f64| match time_s {
+            time_s if time_s < wait_s => (0.0, 0.0),
+            _ => excitation(time_s - wait_s + 1.1, 0.25, 2.0, 0.0),
+        };
+        let mut driven = drive(&car, EXCITATION_S + wait_s, &SENSORS, &mut dice, waits);
+        driven.commands.retain(|it| it.time_s >= wait_s - 1e-6);
+        assert!(driven.commands[0].speed_mps > 1.0);
+        let found = identify(&[driven], &file, Options::default()).unwrap();
+        let product = |it: &Vehicle| it.speed_kp * it.throttle_accel_mps2;
+        for (of, limit) in [
+            (product(&found.vehicle) / product(&car) - 1.0, 0.05),
+            (found.vehicle.rolling_decel_mps2 / car.rolling_decel_mps2 - 1.0, 0.3),
+            (found.vehicle.speed_delay_s - car.speed_delay_s, 0.01),
+        ] {
+            assert!(of.abs() < limit, "after {wait_s} s: {of}, {:?}", found.rows);
+        }
+    }
+}
