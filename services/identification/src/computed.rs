@@ -6,17 +6,33 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use crate::drive::Stretch;
+use crate::drive::{STANDING_MPS, Stretch};
 use crate::levenberg::median;
 use crate::steering::rate_of_heading;
 
 /// No steering is as fast as this.
 const LAG_S: f64 = 0.02;
-/// What a formula leaves: some roundings, or this share of the yaw rate.
-const ROUNDINGS: f64 = 3.0;
+/// A driver that computes is no later than this, or one sample. Dead times of cars are longer.
+const LATE_S: f64 = 0.05;
+/// What a formula leaves of a yaw rate at the median, as a share of it; more where it is rounded coarsely, but never more than
+/// the other share, as a lag leaves that much in gentle bends.
 const SHARE: f64 = 0.002;
-/// Slower, a speed tells little.
-const MOVING_MPS: f64 = 0.5;
+const MOST_SHARE: f64 = 0.01;
+/// The grain of a yaw rate is coarse where so many of them are more than that share. A formula then leaves no more than one
+/// grain in as many samples of all.
+const ROUNDINGS: f64 = 3.0;
+const WITHIN_A_GRAIN: f64 = 0.9;
+/// Differences that are smaller are those of binary numbers.
+const NO_GRAIN: f64 = 1e-9;
+/// A car has to steer for so long, and to change its steering for so long, to tell whether its yaw rate is a formula's.
+const STEERING_S: f64 = 2.0;
+const CHANGING_S: f64 = 1.0;
+/// It steers beyond this angle.
+const STEERING_RAD: f64 = 0.05;
+/// What wheels do with a change shows for so long, if it is more than this share of the largest angle. At rest, wheels with a
+/// lag are where a formula would have them.
+const SHOWS_S: f64 = 0.3;
+const CHANGE_SHARE: f64 = 0.02;
 
 /// What is wrong with a yaw rate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,111 +43,159 @@ pub(crate) enum Computed {
     OfCommand,
     /// It is 0 while the car steers.
     Zero,
+    /// In no stretch the car steers enough to tell.
+    Unknown,
 }
 
-/// Looks whether the yaw rate of a drive was computed; one that has none is taken from its heading.
+/// Looks whether the yaw rate of a drive was computed, in each of its stretches; one that has none is taken from its heading.
 pub(crate) fn computed(stretches: &[Stretch]) -> Option<Computed> {
-    let longest = stretches.iter().max_by_key(|it| it.len())?;
-    let tick_s = longest.tick_s;
-    let rates: Vec<f64> = match longest.yaw_rate_radps.iter().all(|rate| rate.is_finite()) {
-        true => longest.yaw_rate_radps.clone(),
-        false => {
-            let slopes = longest.yaw_rad.windows(2).map(|two| (two[1] - two[0]) / tick_s);
-            std::iter::once(0.0).chain(slopes).collect()
+    let verdicts: Vec<Option<Computed>> = stretches.iter().map(of_stretch).collect();
+    let is_known = |it: &&Computed| **it != Computed::Unknown;
+    match verdicts.iter().flatten().find(is_known) {
+        None if verdicts.iter().all(Option::is_some) => Some(Computed::Unknown),
+        wrong => wrong.copied(),
+    }
+}
+
+fn of_stretch(stretch: &Stretch) -> Option<Computed> {
+    let Some(seen) = Seen::of(stretch) else { return Some(Computed::Unknown) };
+    let yaw_rates = &stretch.yaw_rate_radps;
+    if yaw_rates.iter().all(|rate| rate.is_finite()) {
+        return seen.verdict(yaw_rates, grain(yaw_rates));
+    }
+    // Drivers integrate by the time that passed, or by a tick of their own. Arrivals differ from both.
+    let turned: Vec<f64> = stretch.yaw_rad.windows(2).map(|two| two[1] - two[0]).collect();
+    let rounded = grain(&turned) / stretch.tick_s;
+    let rates = |held_s: &dyn Fn(usize) -> f64| -> Vec<f64> {
+        let slopes = turned.iter().enumerate().map(|(at, turned)| turned / held_s(at));
+        std::iter::once(0.0).chain(slopes).collect()
+    };
+    let passed = rates(&|at| stretch.time_s[at + 1] - stretch.time_s[at]);
+    seen.verdict(&passed, rounded).or_else(|| seen.verdict(&rates(&|_| stretch.tick_s), rounded))
+}
+
+/// The least difference between neighbours, as of numbers that were rounded; 0 if there is none.
+fn grain(values: &[f64]) -> f64 {
+    let steps = values.windows(2).map(|two| (two[1] - two[0]).abs()).filter(|it| *it > NO_GRAIN);
+    let grain = steps.fold(f64::INFINITY, f64::min);
+    if grain.is_finite() { grain } else { 0.0 }
+}
+
+/// A stretch in which the car steers enough to tell.
+struct Seen<'a> {
+    stretch: &'a Stretch,
+    /// The angle that was commanded last, at each sample.
+    commands: Vec<f64>,
+    /// Samples at which the car moves, of these the ones at which it steers, and at which its command has just changed.
+    moving: Vec<usize>,
+    steering: Vec<usize>,
+    changing: Vec<usize>,
+    /// By how many samples a formula may be late.
+    most_late: usize,
+}
+
+impl<'a> Seen<'a> {
+    fn of(stretch: &'a Stretch) -> Option<Self> {
+        let tick_s = stretch.tick_s;
+        let commands: Vec<f64> =
+            stretch.time_s.iter().map(|&time| stretch.command_at(time).steering_rad).collect();
+        let moving: Vec<usize> =
+            (0..stretch.len()).filter(|&at| stretch.speed_mps[at] > STANDING_MPS).collect();
+        let of_moving = |is: &dyn Fn(usize) -> bool| -> Vec<usize> {
+            moving.iter().copied().filter(|&at| is(at)).collect()
+        };
+        let steering = of_moving(&|at| commands[at].abs() > STEERING_RAD);
+        let most_rad = steering.iter().fold(0.0_f64, |most, &at| most.max(commands[at].abs()));
+        let shows = (SHOWS_S / tick_s).ceil() as usize;
+        let changing = of_moving(&|at| {
+            let change = commands[at] - commands[at.saturating_sub(shows)];
+            change.abs() > CHANGE_SHARE * most_rad
+        });
+        let seconds = |of: &[usize]| of.len() as f64 * tick_s;
+        let tells = seconds(&steering) >= STEERING_S && seconds(&changing) >= CHANGING_S;
+        let most_late = ((LATE_S / tick_s + 1e-6) as usize).max(1);
+        tells.then_some(Self { stretch, commands, moving, steering, changing, most_late })
+    }
+
+    fn verdict(&self, rates: &[f64], grain: f64) -> Option<Computed> {
+        let rms = |at: &[usize]| {
+            (at.iter().map(|&at| rates[at] * rates[at]).sum::<f64>() / at.len() as f64).sqrt()
+        };
+        if rms(&self.steering) < 1e-6 {
+            return Some(Computed::Zero);
         }
-    };
-    let moving: Vec<usize> =
-        (0..longest.len()).filter(|&at| longest.speed_mps[at] > MOVING_MPS).collect();
-    let commands: Vec<f64> =
-        longest.time_s.iter().map(|time| longest.command_at(*time).steering_rad).collect();
-    let steering: Vec<usize> =
-        moving.iter().copied().filter(|&at| commands[at].abs() > 0.05).collect();
-    let rms = |at: &[usize]| {
-        (at.iter().map(|&at| rates[at] * rates[at]).sum::<f64>() / at.len().max(1) as f64).sqrt()
-    };
-    if steering.len() as f64 * tick_s < 2.0 {
-        return None;
+        let rms = rms(&self.moving);
+        let is_coarse = ROUNDINGS * grain > SHARE * rms;
+        let most = (ROUNDINGS * grain).max(SHARE * rms).min(MOST_SHARE * rms);
+        let is_formula = |left: &mut [f64]| {
+            let within = left.iter().filter(|it| **it <= grain).count() as f64;
+            median(left) < most && (!is_coarse || within >= WITHIN_A_GRAIN * left.len() as f64)
+        };
+        let mut best = (f64::INFINITY, 0.0, 0.0, Vec::new());
+        for late in 0..=self.most_late {
+            for lag_s in [0.0, 0.02, 0.04, 0.06, 0.09, 0.12, 0.16, 0.2, 0.3] {
+                let (mut left, wheelbase_m) = self.formula_left(rates, late, lag_s);
+                let middle = median(&mut left);
+                if middle < best.0 {
+                    best = (middle, lag_s, wheelbase_m, left);
+                }
+            }
+        }
+        let (_, lag_s, wheelbase_m, mut left) = best;
+        if !left.is_empty() && lag_s < LAG_S && is_formula(&mut left) {
+            return Some(Computed::FromCommand { wheelbase_m });
+        }
+        let is_function =
+            |late| self.function_left(rates, late).is_some_and(|mut left| is_formula(&mut left));
+        (0..=self.most_late).any(is_function).then_some(Computed::OfCommand)
     }
-    if rms(&steering) < 1e-6 {
-        return Some(Computed::Zero);
+
+    /// The command of so many samples before.
+    fn before(&self, at: usize, late: usize) -> f64 {
+        if at >= late { self.commands[at - late] } else { 0.0 }
     }
-    // What remains of the yaw rate after a dead time of whole ticks and a lag, and the wheelbase: medians, both.
-    let score = |ticks: usize, lag_s: f64| {
+
+    /// What v·tan(angle)/L leaves of the yaw rate while the command changes, for an angle that is so many samples late and has
+    /// a lag, and this L.
+    fn formula_left(&self, rates: &[f64], late: usize, lag_s: f64) -> (Vec<f64>, f64) {
+        /// Of the yaw rate's largest value, from which on it tells L.
+        const TELLING: f64 = 0.2;
+        let stretch = self.stretch;
         let mut angle = 0.0;
         let mut expected = vec![0.0; rates.len()];
         for at in 0..rates.len() {
-            let held = if at >= ticks { commands[at - ticks] } else { 0.0 };
-            let share = if lag_s == 0.0 { 1.0 } else { -libm::expm1(-tick_s / lag_s) };
-            angle += share * (held - angle);
-            expected[at] = longest.speed_mps[at] * libm::tan(angle);
+            let held_s = if at > 0 { stretch.time_s[at] - stretch.time_s[at - 1] } else { 0.0 };
+            let share = if lag_s == 0.0 { 1.0 } else { -libm::expm1(-held_s / lag_s) };
+            angle += share * (self.before(at, late) - angle);
+            expected[at] = stretch.speed_mps[at] * libm::tan(angle);
         }
-        let turning = moving.iter().filter(|&&at| rates[at].abs() > 0.05);
-        let mut ratios: Vec<f64> = turning.map(|&at| expected[at] / rates[at]).collect();
-        if ratios.is_empty() {
-            return (f64::INFINITY, f64::INFINITY);
-        }
-        let wheelbase_m = median(&mut ratios);
-        let left = moving.iter().map(|&at| (rates[at] - expected[at] / wheelbase_m).abs());
-        (median(&mut left.collect::<Vec<f64>>()), wheelbase_m)
-    };
-    let mut best = (f64::INFINITY, 0.0, 0.0);
-    for ticks in 0..5 {
-        for lag_s in [0.0, 0.02, 0.04, 0.06, 0.09, 0.12, 0.16, 0.2, 0.3] {
-            let (left, wheelbase_m) = score(ticks, lag_s);
-            if left < best.0 {
-                best = (left, lag_s, wheelbase_m);
-            }
-        }
+        let most = self.moving.iter().fold(0.0_f64, |most, &at| most.max(expected[at].abs()));
+        let turning = self.moving.iter().filter(|&&at| expected[at].abs() > TELLING * most);
+        // Upside down, as a yaw rate may be 0.
+        let mut ratios: Vec<f64> = turning.map(|&at| rates[at] / expected[at]).collect();
+        let per_m = median(&mut ratios);
+        let left = self.changing.iter().map(|&at| (rates[at] - expected[at] * per_m).abs());
+        (left.collect(), 1.0 / per_m)
     }
-    let steps = rates.windows(2).map(|two| (two[1] - two[0]).abs()).filter(|step| *step > 0.0);
-    let grain = steps.fold(f64::INFINITY, f64::min);
-    let grain = if grain.is_finite() { grain } else { 0.0 };
-    let (left, lag_s, wheelbase_m) = best;
-    let most = (ROUNDINGS * grain).max(SHARE * rms(&moving));
-    if lag_s < LAG_S && left < most {
-        return Some(Computed::FromCommand { wheelbase_m });
-    }
-    let is_function = (0..5).any(|ticks| {
-        let commands: Vec<f64> =
-            (0..commands.len()).map(|at| commands[at.saturating_sub(ticks)]).collect();
-        function_left(&commands, &rates, &longest.speed_mps, &moving).is_some_and(|it| it < most)
-    });
-    is_function.then_some(Computed::OfCommand)
-}
 
-/// What the best polynomial of the command leaves of the yaw rate while the command changes: a median. `None` if it hardly
-/// ever does: at rest, wheels with a lag are where a function of the command would have them.
-fn function_left(
-    commands: &[f64],
-    rates: &[f64],
-    speed_mps: &[f64],
-    moving: &[usize],
-) -> Option<f64> {
-    const CHANGED_RAD: f64 = 0.01;
-    const WITHIN: usize = 3;
-    const LEAST: usize = 50;
-    // Powers of about 1 at most.
-    let powers = |at: usize| {
-        let x = commands[at] / 0.5;
-        Vector6::new(1.0, x, x.powi(2), x.powi(3), x.powi(4), x.powi(5))
-    };
-    let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
-    for &at in moving {
-        let powers = powers(at);
-        normal += powers * powers.transpose();
-        right += powers * (rates[at] / speed_mps[at]);
+    /// What the best polynomial of the command leaves of the yaw rate while the command changes.
+    fn function_left(&self, rates: &[f64], late: usize) -> Option<Vec<f64>> {
+        let speed_mps = &self.stretch.speed_mps;
+        // Powers of about 1 at most.
+        let expected = |at: usize| {
+            let x = self.before(at, late) / 0.5;
+            speed_mps[at] * Vector6::new(1.0, x, x.powi(2), x.powi(3), x.powi(4), x.powi(5))
+        };
+        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
+        for &at in &self.moving {
+            let expected = expected(at);
+            normal += expected * expected.transpose();
+            right += expected * rates[at];
+        }
+        let weights = (normal + Matrix6::identity() * 1e-9).cholesky()?.solve(&right);
+        let left = self.changing.iter().map(|&at| (rates[at] - expected(at).dot(&weights)).abs());
+        Some(left.collect())
     }
-    let weights = (normal + Matrix6::identity() * 1e-9).cholesky()?.solve(&right);
-    let changes = |at: &&usize| {
-        let before = commands[at.saturating_sub(WITHIN)];
-        (commands[**at] - before).abs() > CHANGED_RAD
-    };
-    let mut left: Vec<f64> = moving
-        .iter()
-        .filter(changes)
-        .map(|&at| (rates[at] - speed_mps[at] * powers(at).dot(&weights)).abs())
-        .collect();
-    (left.len() >= LEAST).then(|| median(&mut left))
 }
 
 /// Whether the measured speed is the commanded one: no car follows a changing command without delay.

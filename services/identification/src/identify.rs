@@ -168,7 +168,8 @@ pub fn identify(
     if most_rad > MOST_STEERING_RAD {
         return Err(Refusal::NotRadians { most_rad });
     }
-    match computed(&chosen) {
+    let how_made = computed(&chosen);
+    match how_made {
         Some(Computed::Zero) => return Err(Refusal::NoYawRate),
         Some(Computed::FromCommand { wheelbase_m }) if !options.is_simulated => {
             return Err(Refusal::Computed { wheelbase_m });
@@ -243,6 +244,13 @@ pub fn identify(
         found.warnings.push(
             "the measured speed follows the commanded one without any lag, computed and not measured: nothing is told of the \
              speed loop; give the speed of the wheels, or of a localised pose"
+                .to_owned(),
+        );
+    }
+    if how_made == Some(Computed::Unknown) && !options.is_simulated {
+        found.warnings.push(
+            "the car steers too little to tell whether its yaw rate was measured or computed from the commands: if its driver \
+             computes it, these values are the driver's and not the car's"
                 .to_owned(),
         );
     }

@@ -426,3 +426,74 @@ fn a_car_that_stands_before_its_first_command_tells_the_same_speed_loop() {
         }
     }
 }
+
+/// Odometry whose heading follows the command by v·tan(δ)/L, a tick late, at a speed that is a share of the car's.
+fn by_formula(mut driven: Drive, wheelbase_m: f64, slower: f64) -> Drive {
+    let mut yaw_rad = 0.0;
+    for at in 1..driven.odometry.len() {
+        let held_s = driven.odometry[at].time_s - driven.odometry[at - 1].time_s;
+        let seen = &mut driven.odometry[at];
+        for value in [&mut seen.speed_mps, &mut seen.x_m, &mut seen.y_m] {
+            *value *= slower;
+        }
+        seen.yaw_rate_radps =
+            seen.speed_mps * libm::tan(driven.commands[at - 1].steering_rad) / wheelbase_m;
+        yaw_rad += held_s * seen.yaw_rate_radps;
+        seen.yaw_rad = yaw_rad;
+    }
+    driven
+}
+
+#[test]
+fn computed_odometry_is_refused_in_any_stretch_at_any_size_and_by_a_heading_that_arrives_unevenly()
+{
+    let (car, file, mut dice) = car();
+    let excited = excite(&car, &SENSORS, &mut dice);
+    // A car that creeps: the wheelbase has to tell how fast is fast.
+    let slow = by_formula(excited.clone(), 0.3, 0.15);
+    assert!(slow.odometry.iter().all(|it| it.speed_mps < 0.7));
+    assert!(matches!(refusal(slow, &file), Refusal::Computed { .. }));
+    // The longest stretch hardly steers, and a shorter one behind a gap does.
+    let gentle = |time_s: f64| {
+        if time_s < 50.0 { (0.0, 2.0) } else { excitation(time_s - 49.0, 0.25, 2.0, 0.0) }
+    };
+    let mut gap = by_formula(drive(&car, 90.0, &SENSORS, &mut dice, gentle), 0.3, 1.0);
+    gap.odometry.retain(|it| !(49.0..49.5).contains(&it.time_s));
+    assert!(matches!(refusal(gap, &file), Refusal::Computed { .. }));
+    // A heading alone, by the time that passed between arrivals that are not even.
+    let mut uneven = excited;
+    for at in 0..uneven.odometry.len() {
+        let time_s = uneven.odometry[at].time_s + 0.004 * dice.uniform(-1.0, 1.0);
+        (uneven.odometry[at].time_s, uneven.commands[at].time_s) = (time_s, time_s);
+    }
+    let mut uneven = by_formula(uneven, 0.3, 1.0);
+    uneven.odometry.iter_mut().for_each(|it| it.yaw_rate_radps = f64::NAN);
+    assert!(matches!(refusal(uneven, &file), Refusal::Computed { .. }));
+}
+
+#[test]
+fn cars_whose_yaw_rate_is_coarse_or_rare_are_not_taken_for_computed_ones() {
+    let (mut car, file, mut dice) = car();
+    (car.steering_delay_s, car.steering_lag_s) = (0.12, 0.06);
+    let gentle = |time_s: f64| match time_s {
+        ..1.0 => (0.0, 0.0),
+        _ => (0.06 * libm::sin(0.3 * time_s) + 0.03 * libm::sin(0.8 * time_s), 1.5),
+    };
+    let quiet = Sensors { yaw_rate_sd_radps: 0.0005, ..SENSORS };
+    for driven in [drive(&car, 60.0, &quiet, &mut dice, gentle), excite(&car, &quiet, &mut dice)] {
+        for (grain, every) in [(0.01, 1), (0.001, 1), (0.0, 5), (0.01, 5), (0.001, 5)] {
+            let mut driven = thinned(driven.clone(), every);
+            for seen in driven.odometry.iter_mut().filter(|_| grain > 0.0) {
+                seen.yaw_rate_radps = (seen.yaw_rate_radps / grain).round() * grain;
+            }
+            let found = identify(&[driven], &file, Options::default());
+            assert!(found.is_ok(), "grain {grain}, every {every}: {}", found.unwrap_err());
+        }
+    }
+    // One that hardly changes its steering cannot be told, and is warned of.
+    let circle = |time_s: f64| if time_s < 1.0 { (0.0, 0.0) } else { (0.1, 2.0) };
+    let driven = drive(&car, 40.0, &quiet, &mut dice, circle);
+    let found = identify(&[driven], &file, Options::default()).unwrap();
+    let told = |it: &String| it.contains("measured or computed");
+    assert!(found.warnings.iter().any(told), "{:?}", found.warnings);
+}
