@@ -225,27 +225,30 @@ pub(crate) fn speed_is_commanded(stretches: &[Stretch]) -> bool {
 }
 
 /// How well the yaw rate follows the commands: the correlation of largest size over some delays. Rates beyond those of nine
-/// of ten samples are cut, as outliers must not decide.
+/// of ten samples are cut, and commands beyond those of 99 of 100, as outliers and slips must not decide.
 pub(crate) fn follows(stretches: &[Stretch]) -> f64 {
     const HEADING_S: f64 = 0.2;
     let rate = |stretch: &Stretch, at: usize| match stretch.yaw_rate_radps[at] {
         rate if rate.is_finite() => rate,
         _ => rate_of_heading(stretch, at, HEADING_S),
     };
-    let rates: Vec<Vec<f64>> =
-        stretches.iter().map(|it| (0..it.len()).map(|at| rate(it, at)).collect()).collect();
-    let mut sizes: Vec<f64> = rates.iter().flatten().map(|rate| rate.abs()).collect();
-    let ninth = sizes.len() * 9 / 10;
-    let limit =
-        if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(ninth, f64::total_cmp).1 };
+    let asked = |stretch: &Stretch, at: usize, delay_s: f64| {
+        let command = stretch.command_at(stretch.time_s[at] - delay_s).steering_rad;
+        stretch.smooth_mps[at] * libm::tan(command.clamp(-1.4, 1.4))
+    };
+    let each = |of: &dyn Fn(&Stretch, usize) -> f64| -> Vec<Vec<f64>> {
+        stretches.iter().map(|it| (0..it.len()).map(|at| of(it, at)).collect()).collect()
+    };
+    let rates = each(&rate);
+    let limit = quantile_of_sizes(&rates, 0.9);
+    let asked_limit = quantile_of_sizes(&each(&|it, at| asked(it, at, 0.0)), 0.99);
     let mut best = 0.0_f64;
     for delay_s in [0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8] {
         let (mut xx, mut yy, mut xy) = (0.0, 0.0, 0.0);
         for (stretch, rates) in stretches.iter().zip(&rates) {
             for (at, rate) in rates.iter().enumerate() {
                 let rate = rate.clamp(-limit, limit);
-                let command = stretch.command_at(stretch.time_s[at] - delay_s).steering_rad;
-                let expected = stretch.smooth_mps[at] * libm::tan(command.clamp(-1.4, 1.4));
+                let expected = asked(stretch, at, delay_s).clamp(-asked_limit, asked_limit);
                 (xx, yy, xy) = (xx + expected * expected, yy + rate * rate, xy + expected * rate);
             }
         }
@@ -255,4 +258,11 @@ pub(crate) fn follows(stretches: &[Stretch]) -> f64 {
         }
     }
     best
+}
+
+/// The size that so many of all values do not exceed; 0 of nothing.
+fn quantile_of_sizes(values: &[Vec<f64>], share: f64) -> f64 {
+    let mut sizes: Vec<f64> = values.iter().flatten().map(|it| it.abs()).collect();
+    let place = (share * sizes.len() as f64) as usize;
+    if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(place, f64::total_cmp).1 }
 }

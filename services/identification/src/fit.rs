@@ -18,11 +18,15 @@ const AGREES: f64 = 1.0;
 const MOST_ROUGH: f64 = 2.3;
 /// A drive that would be no worse than this by a value without end has not seen the parameter's effect.
 const UNSEEN: f64 = 15.0;
-/// Shares of the largest angle that commands ask for, at which the wheels may stop, and one at which none does; so many steps of a fit tell whether they do,
-/// if that is so much better (as above).
-const STOPS: [f64; 6] = [1.1, 0.9, 0.8, 0.7, 0.6, 0.5];
-const STOP_STEPS: usize = 5;
+/// Shares of the largest angle that commands ask for, at which the wheels may stop, and one at which none does. So many steps
+/// of a fit from each, and so many more from the best ones, tell whether they do, if that is so much better (as above).
+const STOPS: [f64; 9] = [1.1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2];
+const STOP_STEPS: usize = 2;
+const STOP_BEST: usize = 3;
+const STOP_MORE_STEPS: usize = 4;
 const STOP_SHOWS: f64 = 50.0;
+/// Steps of a fit without the samples at which tyres may be at their limit, from each start.
+const GRIP_STEPS: usize = 8;
 /// How often the way between a value that fits and one that does not is halved.
 const HALVINGS: usize = 8;
 
@@ -306,14 +310,15 @@ pub(crate) fn fit_speed(
     hold_what_is_not_told(&mut model, stage, limits, None)
 }
 
-/// Fits steering, wheelbase and the odometry's point.
+/// Fits steering, wheelbase and the odometry's point; and tells whether the car turned less than its wheels were told where
+/// tyres come to their limit, and only there.
 pub(crate) fn fit_steering(
     stretches: &[Stretch],
     vehicle: &Vehicle,
     point_m: f64,
     wheelbase_is_measured: bool,
     limits: &dyn Fn(usize, &[f64]) -> Limit,
-) -> Option<Fitted> {
+) -> Option<(Fitted, bool)> {
     let alone = Steering::new(stretches, vehicle, point_m, wheelbase_is_measured, false);
     let file = steering::of_vehicle(vehicle, point_m).to_vec();
     let mut starts = Vec::new();
@@ -325,11 +330,12 @@ pub(crate) fn fit_steering(
             starts.push(start);
         }
     }
-    let (start, weights) = best_start(&alone, starts, 4)?;
+    let (start, weights) = best_start(&alone, starts.clone(), 4)?;
     let (start, weights) = settle(&alone, weights, &start, 2, &|_| true);
-    let stopped = stopped(&alone, &weights, &start);
+    let stopped = stopped(&alone, &weights, &start, &starts);
+    let tyres_are_at_limit = stopped == Stopped::ByTyres;
+    let start = if let Stopped::At(there) = stopped { there } else { start };
     let mut joint = Steering::new(stretches, vehicle, point_m, wheelbase_is_measured, true);
-    let start = stopped.unwrap_or(start);
     let is_reached = libm::exp(start[steering::STOP]) < joint.most_asked_rad(&start);
     joint.axes[steering::STOP].free = is_reached && start[steering::STOP] != file[steering::STOP];
     let weights = even(&joint);
@@ -338,25 +344,64 @@ pub(crate) fn fit_steering(
     let extras = vec![steering::YAW_LAG, steering::UNDERSTEER];
     hold_what_is_not_proven(&mut joint, &mut stage, limits, extras)?;
     // Wheels that never turned as fast as they can tell a least rate, and no greatest one.
-    hold_what_is_not_told(&mut joint, stage, limits, Some(steering::RATE))
+    let fitted = hold_what_is_not_told(&mut joint, stage, limits, Some(steering::RATE))?;
+    Some((fitted, tyres_are_at_limit))
+}
+
+/// Whether the wheels stop elsewhere than the file says.
+#[derive(Debug, PartialEq)]
+enum Stopped {
+    /// Not that the drive shows.
+    No,
+    /// The car turns as if they did, but only where its tyres may be at their limit.
+    ByTyres,
+    /// They do at this place.
+    At(Vec<f64>),
 }
 
 /// A place that fits the yaw rate much better, because the wheels stop before they come as far as they are told and the file
-/// says, or turn farther than the file says; `None` if there is none. Without a stop, a fit takes wheels that rest at theirs
-/// for wheels that turn slowly.
-fn stopped(alone: &Steering<'_>, weights: &Weights, at: &[f64]) -> Option<Vec<f64>> {
+/// says, or turn farther than the file says. Without a stop, a fit takes wheels that rest at theirs for wheels that turn
+/// slowly.
+fn stopped(alone: &Steering<'_>, weights: &Weights, at: &[f64], starts: &[Vec<f64>]) -> Stopped {
     let (most_rad, of_file) = (alone.most_asked_rad(at), at[steering::STOP]);
     let ends = STOPS.map(|share| libm::log(share * most_rad)).into_iter();
     // Beyond all that was asked for, wheels do not stop.
     let ends = ends.filter(|it| *it < of_file || libm::log(most_rad) > of_file);
+    let down = |weights: &Weights, from: &[f64], steps: usize| {
+        let there = descend(alone, weights, from, steps);
+        (cost(alone, weights, &there), there)
+    };
     let at_stop = |stop: f64| {
         let mut there = at.to_vec();
         there[steering::STOP] = stop;
-        let there = descend(alone, weights, &there, STOP_STEPS);
-        (cost(alone, weights, &there), there)
+        down(weights, &there, STOP_STEPS)
     };
-    let (least, there) = ends.map(at_stop).min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (least < cost(alone, weights, at) - STOP_SHOWS).then_some(there)
+    let mut places: Vec<(f64, Vec<f64>)> = ends.map(at_stop).collect();
+    places.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let places = places.iter().take(STOP_BEST).map(|it| down(weights, &it.1, STOP_MORE_STEPS));
+    let best = |places: &mut dyn Iterator<Item = (f64, Vec<f64>)>| {
+        places.min_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    let Some((least, there)) = best(&mut { places }) else { return Stopped::No };
+    if least >= cost(alone, weights, at) - STOP_SHOWS {
+        return Stopped::No;
+    }
+    // Tyres at their limit let a car turn less than it is told, too.
+    let grip = alone.have_grip();
+    if grip.iter().all(|has| *has) {
+        return Stopped::At(there);
+    }
+    let mut gentle = weights.clone();
+    for (weight, has) in gentle.each.iter_mut().zip(grip) {
+        *weight = if has { *weight } else { 0.0 };
+    }
+    let others = starts.iter().map(Vec::as_slice).chain([at]);
+    let without = best(&mut others.map(|it| down(&gentle, it, GRIP_STEPS)));
+    let (least, there) = down(&gentle, &there, GRIP_STEPS);
+    match without {
+        Some((without, _)) if least >= without - STOP_SHOWS => Stopped::ByTyres,
+        _ => Stopped::At(there),
+    }
 }
 
 /// The fit of some blocks alone, with the same parameters held.

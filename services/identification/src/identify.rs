@@ -16,7 +16,7 @@ use crate::rows::{
 };
 use crate::slip::{Slip, fit_slip};
 use crate::speed::Speed;
-use crate::steering::{self, HEADING, POSITION, Steering};
+use crate::steering::{self, GRIP_MPS2, HEADING, POSITION, Steering};
 use crate::units::{wrong_unit, wrong_unit_of_odometry};
 
 /// Which key of a vehicle's file says where the point of the recorded poses lies.
@@ -190,8 +190,9 @@ pub fn identify(
     let slip = of_slip.map(|it| slip_row(it, vehicle));
     let measured = options.wheelbase_is_measured;
     let limits = limits_of_steering(vehicle);
-    let of_steering = fit_steering(&chosen, &slipping(vehicle, &slip), point_m, measured, &limits)
-        .ok_or_else(undetermined)?;
+    let (of_steering, tyres_are_at_limit) =
+        fit_steering(&chosen, &slipping(vehicle, &slip), point_m, measured, &limits)
+            .ok_or_else(undetermined)?;
     let steered = steering::to_vehicle(&of_steering.at, vehicle);
     let of_speed = fit_speed(&chosen, &steered, &limits_of_speed).ok_or_else(undetermined)?;
 
@@ -246,6 +247,12 @@ pub fn identify(
              speed loop; give the speed of the wheels, or of a localised pose"
                 .to_owned(),
         );
+    }
+    if tyres_are_at_limit {
+        found.warnings.push(format!(
+            "beyond {GRIP_MPS2} m/s² to the side the car turned less than its wheels were told, and not below: its tyres may have \
+             been at their limit; drive bends slowly to tell the steering"
+        ));
     }
     if how_made == Some(Computed::Unknown) && !options.is_simulated {
         found.warnings.push(

@@ -60,6 +60,8 @@ const MOST_RATE_RADPS: f64 = 50.0;
 /// No car steers less, or more, rad.
 const LEAST_STOP_RAD: f64 = 0.02;
 const MOST_STOP_RAD: f64 = 1.5;
+/// Up to this lateral acceleration, tyres let a car turn as its wheels say.
+pub(crate) const GRIP_MPS2: f64 = 3.0;
 /// So many steps of the command, at least, tell how quick the wheels are.
 const TELLING_STEPS: usize = 5;
 
@@ -214,12 +216,31 @@ impl<'a> Steering<'a> {
         new
     }
 
-    /// The largest angle that commands ask the wheels for, by a fit, whatever they can do.
+    /// The largest angle that commands ask the wheels for, by a fit, whatever they can do: while the car moves, as others show
+    /// nothing, and but for one sample in a hundred, as a single slip must not hide where the wheels stop.
     pub(crate) fn most_asked_rad(&self, at: &[f64]) -> f64 {
         let (gain, offset_rad) = (libm::exp(at[GAIN]), at[OFFSET]);
-        let commands = self.stretches.iter().flat_map(|it| &it.commands);
-        let asked = commands.map(|it| (gain * it.steering_rad + offset_rad).abs());
-        asked.fold(LEAST_STOP_RAD, f64::max)
+        let of_stretch = |it: &Stretch| {
+            let moving = it.time_s.iter().zip(&it.smooth_mps).filter(|(_, v)| **v > STANDING_MPS);
+            let asked = |time: f64| (gain * it.command_at(time).steering_rad + offset_rad).abs();
+            moving.map(|(time, _)| asked(*time)).collect::<Vec<f64>>()
+        };
+        let mut asked: Vec<f64> = self.stretches.iter().flat_map(of_stretch).collect();
+        asked.sort_by(f64::total_cmp);
+        asked.get(99 * asked.len() / 100).map_or(LEAST_STOP_RAD, |it| it.max(LEAST_STOP_RAD))
+    }
+
+    /// For each residual of a fit to the yaw rate alone, whether the tyres are far from their limit at its sample.
+    pub(crate) fn have_grip(&self) -> Vec<bool> {
+        let of_stretch = |it: &Stretch| {
+            let rate = |at: usize| match self.has_yaw_rate {
+                true => it.yaw_rate_radps[at],
+                false => rate_of_heading(it, at, HEADING_S),
+            };
+            let has = |at: usize| (it.smooth_mps[at] * rate(at)).abs() <= GRIP_MPS2;
+            (0..it.len()).map(has).collect::<Vec<bool>>()
+        };
+        self.stretches.iter().flat_map(of_stretch).collect()
     }
 
     fn lay_out(&self) -> Vec<Place> {

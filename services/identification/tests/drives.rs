@@ -497,3 +497,75 @@ fn cars_whose_yaw_rate_is_coarse_or_rare_are_not_taken_for_computed_ones() {
     let told = |it: &String| it.contains("measured or computed");
     assert!(found.warnings.iter().any(told), "{:?}", found.warnings);
 }
+
+#[test]
+fn wheels_that_stop_are_found_whatever_was_asked_of_a_car_that_stands_or_of_one_once() {
+    let (mut car, file, mut dice) = car();
+    car.steering_limit_rad = 0.08;
+    let mut driven = excite(&car, &SENSORS, &mut dice);
+    // A stick that is pushed before the car moves, and a slip of a tenth of a second.
+    for command in &mut driven.commands {
+        if command.time_s < 0.5 || (12.0..12.1).contains(&command.time_s) {
+            command.steering_rad = 1.5;
+        }
+    }
+    let found = identify(&[driven], &file, Options::default()).unwrap();
+    let (stop, _) = told(&found, "steering_limit_rad").unwrap();
+    assert!((stop / 0.08 - 1.0).abs() < 0.03, "{stop}");
+    assert!((found.vehicle.wheelbase_m / car.wheelbase_m - 1.0).abs() < 0.02);
+}
+
+/// A car at the scale of 1:10 whose wheels stop at an angle, and whose tyres hold up to a lateral acceleration.
+fn small_drive(dice: &mut Dice, stop_rad: f64, grip_mps2: f64) -> Drive {
+    let mut driven = Drive::default();
+    let mut on_the_way = std::collections::VecDeque::from(vec![(0.0_f64, 0.0); 6]);
+    let (mut x_m, mut y_m, mut yaw_rad) = (0.0, 0.0, 0.0);
+    let (mut speed_mps, mut wheel_rad) = (0.0_f64, 0.0_f64);
+    for tick in 0..6000_u32 {
+        let time_s = 0.01 * f64::from(tick);
+        let wanted_mps = match time_s {
+            ..1.0 => 0.0,
+            ..30.0 => 1.2,
+            _ => 3.0,
+        };
+        let turn = [0.4, -0.4, 0.2, -0.3, 0.1, 0.0][(time_s / 1.3) as usize % 6];
+        let rate_radps = speed_mps * libm::tan(wheel_rad) / 0.33;
+        let most_radps = grip_mps2 / speed_mps.max(0.1);
+        let rate_radps = rate_radps.clamp(-most_radps, most_radps);
+        driven.odometry.push(identification::Odometry {
+            time_s,
+            x_m: x_m + 0.005 * dice.normal(),
+            y_m: y_m + 0.005 * dice.normal(),
+            yaw_rad: yaw_rad + 0.005 * dice.normal(),
+            speed_mps: speed_mps + 0.02 * dice.normal(),
+            yaw_rate_radps: rate_radps + 0.01 * dice.normal(),
+        });
+        let command = identification::Command { time_s, steering_rad: turn, speed_mps: wanted_mps };
+        driven.commands.push(command);
+        on_the_way.push_back((turn, wanted_mps));
+        let (turn, wanted_mps) = on_the_way.pop_front().unwrap();
+        let turn = turn.clamp(-stop_rad, stop_rad);
+        wheel_rad += ((turn - wheel_rad) / 0.06).clamp(-4.0, 4.0) * 0.01;
+        speed_mps += (wanted_mps - speed_mps) / 0.3 * 0.01;
+        x_m += 0.01 * speed_mps * libm::cos(yaw_rad);
+        y_m += 0.01 * speed_mps * libm::sin(yaw_rad);
+        yaw_rad += 0.01 * rate_radps;
+    }
+    driven
+}
+
+#[test]
+fn tyres_at_their_limit_are_not_taken_for_wheels_that_stop() {
+    let mut dice = Dice::new(9);
+    let file = config::Layers::vehicle_of_file("f1tenth").unwrap();
+    let slides = |it: &String| it.contains("tyres may have");
+    let found = identify(&[small_drive(&mut dice, 1.0, 4.5)], &file, Options::default()).unwrap();
+    assert_eq!(told(&found, "steering_limit_rad"), None);
+    assert!(found.warnings.iter().any(slides), "{:?}", found.warnings);
+    // Wheels that do stop show it where tyres hold.
+    let found =
+        identify(&[small_drive(&mut dice, 0.25, 100.0)], &file, Options::default()).unwrap();
+    let (stop, _) = told(&found, "steering_limit_rad").unwrap();
+    assert!((stop / 0.25 - 1.0).abs() < 0.03, "{stop}");
+    assert!(!found.warnings.iter().any(slides), "{:?}", found.warnings);
+}
