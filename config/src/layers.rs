@@ -310,6 +310,19 @@ impl Layers {
         Ok(Self::of_vehicle(file, file)?.resolve()?.vehicle)
     }
 
+    /// The same of the text that a file is to have.
+    ///
+    /// # Errors
+    /// As [`Layers::vehicle_of_file`].
+    pub fn vehicle_of_text(file: &str, text: &str) -> Result<Vehicle, ConfigError> {
+        let mut layers = Self::maneuver("lane_change")?;
+        layers.put(file, "reference.speed_mps", SLOW_MPS)?;
+        layers.stack_vehicle(file, text)?;
+        fit_lengths(&mut layers.values);
+        layers.put(file, Part::Vehicle.selected_by(), file)?;
+        Ok(layers.resolve()?.vehicle)
+    }
+
     /// The layers of a vehicle that is to drive nothing yet: of a manoeuvre so slow that every vehicle can drive it.
     ///
     /// # Errors
@@ -411,7 +424,13 @@ impl Layers {
             return Ok(());
         }
         let text = read_part(Part::Vehicle, name, origin)?;
-        let file = parse_table(name, &text)?;
+        self.stack_vehicle(name, &text)
+    }
+
+    /// Puts the text of a vehicle's file on top of the preset that it names.
+    fn stack_vehicle(&mut self, name: &str, text: &str) -> Result<(), ConfigError> {
+        self.borrowed = None;
+        let file = parse_table(name, text)?;
         let named = vehicles::base_of(name, &file)?;
         let base = named.and_then(|(_, preset)| preset.as_str());
         let mut vehicle =
@@ -423,7 +442,7 @@ impl Layers {
         for key in [vehicles::BASE, vehicles::EARLIER_BASE] {
             vehicle.insert(key.to_owned(), Value::String(vehicles::DEFAULT.to_owned()));
         }
-        self.load_file(Part::Vehicle, vehicle, name, &text)?;
+        self.load_file(Part::Vehicle, vehicle, name, text)?;
         if let Some(Value::Table(vehicle)) = self.values.get_mut("vehicle") {
             vehicle.remove(vehicles::BASE);
             vehicle.remove(vehicles::EARLIER_BASE);

@@ -131,6 +131,9 @@ fn write_found(file: &Path, found: &identified::Found) -> Result<PathBuf, Failur
     }
     let target = VehicleFile::lock(file)?;
     let text = identified::put_found(&target.text, found).map_err(fail)?;
+    // Values that the configuration would refuse must never stand in the file, as others may read it at any time.
+    Layers::vehicle_of_text(&file.display().to_string(), &text)
+        .map_err(|why| fail(format!("nothing was written: {}", Failure::from(why).message())))?;
     let number = last_kept(file).map_or(1, |last| last + 1);
     let kept = kept_as(file, number);
     fs::write(&kept, &target.text)
@@ -138,17 +141,7 @@ fn write_found(file: &Path, found: &identified::Found) -> Result<PathBuf, Failur
     target.replace(&text).inspect_err(|_| {
         let _ = fs::remove_file(&kept);
     })?;
-    // Values that the configuration would refuse must not stay.
-    if let Err(why) = vehicle_of_text(file) {
-        VehicleFile::lock(file)?.replace(&target.text)?;
-        let _ = fs::remove_file(&kept);
-        return Err(fail(format!("nothing was written: {}", why.message())));
-    }
     Ok(kept)
-}
-
-fn vehicle_of_text(file: &Path) -> Result<Vehicle, Failure> {
-    Ok(Layers::vehicle_of_file(&file.display().to_string())?)
 }
 
 /// Brings back the text that a vehicle's file had before the last `--write`.
@@ -163,11 +156,15 @@ pub fn roll_back(file: &Path) -> Result<(), Failure> {
     let kept = kept_as(file, number);
     let text =
         config::read_small(&kept).map_err(|error| fail(format!("{}: {error}", kept.display())))?;
-    // What was edited or promoted since the write is not lost.
-    let after = file.with_file_name(format!(
-        "{}.after-{number}",
-        file.file_name().unwrap_or_default().to_string_lossy()
-    ));
+    // What was edited or promoted since the write is not lost, nor what an earlier rollback has kept.
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let mut after = file.with_file_name(format!("{name}.after-{number}"));
+    for number in number + 1.. {
+        if fs::symlink_metadata(&after).is_err() {
+            break;
+        }
+        after = file.with_file_name(format!("{name}.after-{number}"));
+    }
     fs::copy(file, &after)?;
     target.replace(&text)?;
     fs::remove_file(&kept)?;
