@@ -12,7 +12,7 @@ use recorder::reading::AnyMessage;
 use ros2_vehicle::messages;
 use serde::de::DeserializeOwned;
 
-use super::{MOST_SAMPLES, Read};
+use super::{MOST_SAMPLES, Read, fill_gaps, is_finite};
 use crate::cut_off::blame;
 
 /// Slower, a twist tells no steering angle.
@@ -110,6 +110,8 @@ pub(super) fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> Resul
     drive.odometry.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     drive.odometry.dedup_by(|next, last| next.time_s <= last.time_s);
     drive.odometry.retain(is_finite);
+    // A driver without a gyro tells NaN: then the heading has to do.
+    fill_gaps(&mut drive.odometry);
     drive.commands.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     drive.commands.retain(|it| it.steering_rad.is_finite() && it.speed_mps.is_finite());
     let warnings = cut_off
@@ -135,10 +137,6 @@ fn type_named(kind: &str) -> Option<CommandType> {
         "geometry_msgs/TwistStamped" => CommandType::TwistStamped,
         _ => return None,
     })
-}
-
-fn is_finite(it: &Odometry) -> bool {
-    [it.x_m, it.y_m, it.yaw_rad, it.speed_mps, it.yaw_rate_radps].iter().all(|it| it.is_finite())
 }
 
 /// A message from its bytes: CDR behind a header of four bytes, whose second says the order of bytes.

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail, ensure};
 use identification::{Command, Drive, Odometry, Point};
 
-use super::{MOST_SAMPLES, Read};
+use super::{MOST_SAMPLES, Read, fill_gaps};
 
 /// Columns with the names that they may have, and whether a file must have them.
 const COLUMNS: [(&[&str], bool); 8] = [
@@ -102,7 +102,8 @@ fn parse(text: impl std::io::Read) -> Result<Read> {
     ensure!(!drive.odometry.is_empty() && !drive.commands.is_empty(), "holds no drive");
     // A gap in a yaw rate that is measured otherwise: without it, the heading's would be taken for all of the drive.
     fill_gaps(&mut drive.odometry);
-    let caveats = sampled_commands(&drive).into_iter().collect();
+    drive.late_commands_s = apart_s(&drive).unwrap_or_default();
+    let caveats = sampled_commands(drive.late_commands_s).into_iter().collect();
     Ok(Read { drives: vec![drive], point: Point::Tracked, caveats, ..Read::default() })
 }
 
@@ -113,21 +114,27 @@ fn delimiter(beginning: &[u8]) -> u8 {
     [b';', b'\t'].into_iter().find(|it| header.contains(it)).unwrap_or(b',')
 }
 
-/// What to know where commands are noted in the rows of the odometry, far apart: most were given before they were noted.
-fn sampled_commands(drive: &Drive) -> Option<String> {
+/// How far apart commands are that are noted in the rows of the odometry, if that is far: most were given before they were
+/// noted.
+fn apart_s(drive: &Drive) -> Option<f64> {
     const FAR_S: f64 = 0.015;
     let same = drive.odometry.len() == drive.commands.len()
         && drive.odometry.iter().zip(&drive.commands).all(|(a, b)| a.time_s == b.time_s);
     let (first, last) = (drive.commands.first()?, drive.commands.last()?);
     let apart_s = (last.time_s - first.time_s) / (drive.commands.len().max(2) - 1) as f64;
-    (same && apart_s > FAR_S).then(|| {
+    (same && apart_s > FAR_S).then_some(apart_s)
+}
+
+/// What to know of commands that are noted so much late at most.
+fn sampled_commands(late_s: f64) -> Option<String> {
+    (late_s > 0.0).then(|| {
         format!(
             "commands stand in the rows of the odometry, {:.0} ms apart: if they were not given at these times but noted with \
-             the next row, dead times come out up to {:.0} ms too short ({:.0} ms on average); give commands rows of their own, \
-             or log at 100 Hz",
-            1e3 * apart_s,
-            1e3 * apart_s,
-            0.5e3 * apart_s
+             the next row, dead times come out up to {:.0} ms too short ({:.0} ms on average), for which their intervals \
+             allow; give commands rows of their own, or log at 100 Hz",
+            1e3 * late_s,
+            1e3 * late_s,
+            0.5e3 * late_s
         )
     })
 }
@@ -137,20 +144,6 @@ fn beginning(text: &str) -> String {
     match text.char_indices().nth(200) {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text.to_owned(),
-    }
-}
-
-/// Puts the last yaw rate where one is missing, unless there is none at all.
-fn fill_gaps(odometry: &mut [Odometry]) {
-    let Some(mut last) = odometry.iter().map(|it| it.yaw_rate_radps).find(|it| it.is_finite())
-    else {
-        return;
-    };
-    for it in odometry {
-        match it.yaw_rate_radps.is_finite() {
-            true => last = it.yaw_rate_radps,
-            false => it.yaw_rate_radps = last,
-        }
     }
 }
 
@@ -186,7 +179,9 @@ mod tests {
                     false => format!("{time_s},0,0,0,1,0.1,1\n"),
                 };
             }
-            parse(text.as_bytes()).unwrap().caveats
+            let read = parse(text.as_bytes()).unwrap();
+            assert_eq!(read.drives[0].late_commands_s > 0.0, !read.caveats.is_empty());
+            read.caveats
         };
         assert!(rows(0.05, false)[0].contains("up to 50 ms too short (25 ms on average)"));
         assert!(rows(0.05, true).is_empty() && rows(0.01, false).is_empty());

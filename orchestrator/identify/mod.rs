@@ -5,10 +5,11 @@ mod csv_drive;
 mod recording;
 mod table;
 
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 
 use config::Vehicle;
-use identification::{Drive, Identification, Options, Point};
+use identification::{Drive, Identification, Odometry, Options, Point};
 use orchestrator::cli::IdentifyArgs;
 use orchestrator::commands;
 use orchestrator::words::Failure;
@@ -34,6 +35,53 @@ pub(crate) struct Read {
     pub(crate) caveats: Vec<String>,
 }
 
+/// Files that were read: none counts twice, by whatever names it is given.
+#[derive(Debug, Default)]
+pub(crate) struct Seen {
+    files: BTreeSet<PathBuf>,
+    /// Those that came again.
+    again: Vec<PathBuf>,
+}
+
+impl Seen {
+    /// Notes a file; tells whether it is none of those before.
+    pub(crate) fn is_new(&mut self, file: &Path) -> bool {
+        let whole = std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned());
+        let is_new = self.files.insert(whole);
+        if !is_new && !self.again.iter().any(|it| it == file) {
+            self.again.push(file.to_owned());
+        }
+        is_new
+    }
+
+    /// What to tell of those that came again.
+    fn told(&self) -> Option<String> {
+        let names: Vec<String> = self.again.iter().map(|it| it.display().to_string()).collect();
+        (!names.is_empty()).then(|| {
+            format!("{}: named twice, or continues another one; counts once", names.join(", "))
+        })
+    }
+}
+
+/// Whether a sample tells something. The yaw rate may be missing.
+pub(crate) fn is_finite(it: &Odometry) -> bool {
+    [it.x_m, it.y_m, it.yaw_rad, it.speed_mps].iter().all(|it| it.is_finite())
+}
+
+/// Puts the last yaw rate where one is missing, unless there is none at all.
+pub(crate) fn fill_gaps(odometry: &mut [Odometry]) {
+    let Some(mut last) = odometry.iter().map(|it| it.yaw_rate_radps).find(|it| it.is_finite())
+    else {
+        return;
+    };
+    for it in odometry {
+        match it.yaw_rate_radps.is_finite() {
+            true => last = it.yaw_rate_radps,
+            false => it.yaw_rate_radps = last,
+        }
+    }
+}
+
 /// Identifies a car.
 pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
     if args.rollback {
@@ -47,8 +95,12 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
         is_simulated: args.simulated,
     };
     let (mut warnings, mut caveats) = (Vec::new(), Vec::new());
+    let mut seen = Seen::default();
     for (index, file) in args.drives.iter().enumerate() {
-        let read = read(file, &vehicle, args)
+        if !seen.is_new(file) {
+            continue;
+        }
+        let read = read(file, &vehicle, args, &mut seen)
             .map_err(|why| Failure::User(format!("{}: {why:#}", file.display())))?;
         if index > 0 && read.point != options.point {
             return Err(Failure::User(format!(
@@ -72,6 +124,7 @@ pub(crate) fn identify(args: &IdentifyArgs) -> Result<(), Failure> {
         warnings.extend(read.warnings);
         caveats.extend(read.caveats);
     }
+    warnings.extend(seen.told());
     let mut found = identification::identify(&drives, &vehicle, options).map_err(|why| {
         let names: Vec<String> = args.drives.iter().map(|it| it.display().to_string()).collect();
         // A drive that was not read to its end may be too short for that reason.
@@ -143,7 +196,9 @@ fn for_file(found: &Identification) -> config::identified::Found {
     };
     put("position_sd_m", noise.position_sd_m);
     put("heading_half_width_rad", noise.heading_half_width_rad);
-    put("speed_sd_mps", noise.speed_sd_mps);
+    if let Some(sd_mps) = noise.speed_sd_mps {
+        put("speed_sd_mps", sd_mps);
+    }
     if let Some(sd_radps) = noise.yaw_rate_sd_radps {
         put("yaw_rate_sd_radps", sd_radps);
     }
@@ -201,7 +256,12 @@ fn refusal(found: &Identification) -> Option<String> {
 }
 
 /// Reads a drive in whichever form it is.
-fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> anyhow::Result<Read> {
+fn read(
+    file: &Path,
+    vehicle: &Vehicle,
+    args: &IdentifyArgs,
+    seen: &mut Seen,
+) -> anyhow::Result<Read> {
     use std::io::Read as _;
     let mut first = [0; 8];
     let count = config::open_regular(file)?.read(&mut first)?;
@@ -209,7 +269,7 @@ fn read(file: &Path, vehicle: &Vehicle, args: &IdentifyArgs) -> anyhow::Result<R
         // A recording of ours holds ROS messages, too: whoever names their topics wants these.
         let names_topics = args.odometry.is_some() || args.command.is_some();
         return match !names_topics && recorder::reading::is_ours(file)? {
-            true => recording::read(file),
+            true => recording::read(file, seen),
             false => bag::read(file, vehicle, args),
         };
     }

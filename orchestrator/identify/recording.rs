@@ -10,13 +10,13 @@ use ipc_types::layout::Bytes;
 use ipc_types::{Attempt, TickHeader, has};
 use recorder::reading::Recording;
 
-use super::{MOST_SAMPLES, Read};
+use super::{MOST_SAMPLES, Read, Seen, fill_gaps, is_finite};
 use crate::cut_off::blame;
 
 type Key = (Attempt, usize);
 
-/// Reads a recording and the files that continue it.
-pub(super) fn read(file: &Path) -> Result<Read> {
+/// Reads a recording and the files that continue it, but for those that are among the files that were `seen`.
+pub(super) fn read(file: &Path, seen: &mut Seen) -> Result<Read> {
     let mut drives: BTreeMap<Key, Drive> = BTreeMap::new();
     let mut kept = 0;
     let mut path = file.to_owned();
@@ -38,6 +38,9 @@ pub(super) fn read(file: &Path) -> Result<Read> {
         if next == path {
             bail!("is damaged: it says that it continues itself");
         }
+        if !seen.is_new(&next) {
+            break;
+        }
         path = next;
     }
     let first = first.context("holds nothing")?;
@@ -50,6 +53,7 @@ pub(super) fn read(file: &Path) -> Result<Read> {
         return blame(Err(anyhow!("holds no drive")), cut_off);
     }
     let mut read = Read { drives, warnings, ..Read::default() };
+    read.drives.iter_mut().for_each(|drive| fill_gaps(&mut drive.odometry));
     let launch = first.attachments.get("launch.toml").and_then(|it| std::str::from_utf8(it).ok());
     let launch = launch.and_then(|text| Launch::parse("launch.toml", text).ok());
     let vehicle = launch
@@ -86,15 +90,17 @@ fn note(
                 continue;
             }
             let drive = drives.entry(key).or_default();
-            if drive.odometry.last().is_none_or(|it| it.time_s < time_s) {
-                drive.odometry.push(Odometry {
-                    time_s,
-                    x_m: seen.measured.x_m,
-                    y_m: seen.measured.y_m,
-                    yaw_rad: seen.measured.yaw_rad,
-                    speed_mps: seen.speed_mps,
-                    yaw_rate_radps: seen.yaw_rate_radps,
-                });
+            let odometry = Odometry {
+                time_s,
+                x_m: seen.measured.x_m,
+                y_m: seen.measured.y_m,
+                yaw_rad: seen.measured.yaw_rad,
+                speed_mps: seen.speed_mps,
+                yaw_rate_radps: seen.yaw_rate_radps,
+            };
+            let is_new = drive.odometry.last().is_none_or(|it| it.time_s < time_s);
+            if is_new && is_finite(&odometry) {
+                drive.odometry.push(odometry);
             }
         } else {
             let Some(passed) = ipc_types::Command::take(&mut bytes) else { break };
@@ -102,6 +108,9 @@ fn note(
                 continue;
             }
             let (steering_rad, speed_mps) = (passed.steering_rad, passed.speed_mps);
+            if !(steering_rad.is_finite() && speed_mps.is_finite()) {
+                continue;
+            }
             drives.entry(key).or_default().commands.push(Command {
                 time_s,
                 steering_rad,

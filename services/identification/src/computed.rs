@@ -163,11 +163,11 @@ impl<'a> Seen<'a> {
         let stretch = self.stretch;
         let mut angle = 0.0;
         let mut expected = vec![0.0; rates.len()];
-        for at in 0..rates.len() {
+        for (at, expected) in expected.iter_mut().enumerate() {
             let held_s = if at > 0 { stretch.time_s[at] - stretch.time_s[at - 1] } else { 0.0 };
             let share = if lag_s == 0.0 { 1.0 } else { -libm::expm1(-held_s / lag_s) };
             angle += share * (self.before(at, late) - angle);
-            expected[at] = stretch.speed_mps[at] * libm::tan(angle);
+            *expected = stretch.speed_mps[at] * libm::tan(angle);
         }
         let most = self.moving.iter().fold(0.0_f64, |most, &at| most.max(expected[at].abs()));
         let turning = self.moving.iter().filter(|&&at| expected[at].abs() > TELLING * most);

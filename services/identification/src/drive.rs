@@ -37,6 +37,9 @@ pub struct Drive {
     pub commands: Vec<Command>,
     /// Odometry, in the order of its arrivals.
     pub odometry: Vec<Odometry>,
+    /// By how much each command may have been given before its time, as where it was noted with the next row of a table; 0 if
+    /// its time is its own.
+    pub late_commands_s: f64,
 }
 
 /// A gap of the odometry that is longer cuts a drive.
@@ -63,7 +66,7 @@ pub(crate) struct Stretch {
     /// Speed without its noise.
     pub(crate) smooth_mps: Vec<f64>,
     pub(crate) yaw_rate_radps: Vec<f64>,
-    /// The usual time between two samples.
+    /// The mean time between two samples.
     pub(crate) tick_s: f64,
     /// The car stood at the beginning.
     pub(crate) from_rest: bool,
@@ -102,9 +105,9 @@ impl Stretch {
     }
 }
 
-/// The stretches of a drive.
+/// The stretches of a drive. What it drove backwards is a gap: the speed loop that is fitted knows no reverse.
 pub(crate) fn stretches(drive: &Drive) -> Vec<Stretch> {
-    let odometry = &drive.odometry;
+    let odometry = &forwards(&drive.odometry);
     let mut cuts: Vec<usize> = (1..odometry.len())
         .filter(|&at| odometry[at].time_s - odometry[at - 1].time_s > GAP_S)
         .collect();
@@ -119,11 +122,21 @@ pub(crate) fn stretches(drive: &Drive) -> Vec<Stretch> {
         .collect()
 }
 
+/// The samples without those of times in which the car drives backwards: long enough to be no noise, and to be a gap.
+fn forwards(odometry: &[Odometry]) -> Vec<Odometry> {
+    let is_backwards = |it: &Odometry| it.speed_mps < -STANDING_MPS;
+    let runs = odometry.chunk_by(|a, b| is_backwards(a) == is_backwards(b));
+    let counts = |run: &&[Odometry]| {
+        !is_backwards(&run[0]) || run[run.len() - 1].time_s - run[0].time_s <= GAP_S
+    };
+    runs.filter(counts).flatten().copied().collect()
+}
+
 fn stretch(odometry: &[Odometry], commands: &[Command]) -> Stretch {
     let array = |of: fn(&Odometry) -> f64| odometry.iter().map(of).collect::<Vec<f64>>();
     let time_s = array(|it| it.time_s);
-    let mut gaps: Vec<f64> = time_s.windows(2).map(|two| two[1] - two[0]).collect();
-    let tick_s = median(&mut gaps).max(1e-3);
+    // The mean and not the median: samples may arrive several at a time.
+    let tick_s = ((time_s[time_s.len() - 1] - time_s[0]) / (time_s.len() - 1) as f64).max(1e-3);
     let speed_mps = array(|it| it.speed_mps);
     let smooth_mps = smooth(&speed_mps, (SMOOTHED_S / tick_s).round() as usize);
     let mut yaw_rad = array(|it| it.yaw_rad);

@@ -11,8 +11,8 @@ use crate::levenberg::{median, white_noise_sd};
 use crate::prediction::{self, Car, FOLDS, Prediction, is_held_out};
 use crate::refusal::Refusal;
 use crate::rows::{
-    Row, SPEED_STEPS, delay_and_lag, limits_of_speed, limits_of_steering, point_with_slip,
-    slip_row, speed_rows, steering_rows,
+    Row, SPEED_STEPS, allow_for_late_commands, delay_and_lag, limits_of_speed, limits_of_steering,
+    point_with_slip, slip_row, speed_rows, steering_rows,
 };
 use crate::slip::{Slip, fit_slip};
 use crate::speed::Speed;
@@ -58,9 +58,9 @@ pub struct NoiseFound {
     pub position_sd_m: f64,
     /// Half the width of the heading's triangular distribution that has the standard deviation which was found.
     pub heading_half_width_rad: f64,
-    /// Standard deviation of the speed.
-    pub speed_sd_mps: f64,
-    /// Standard deviation of the yaw rate; `None` if it is not measured.
+    /// Standard deviation of the speed; `None` if the drive does not tell it, as where it is rounded coarsely.
+    pub speed_sd_mps: Option<f64>,
+    /// Standard deviation of the yaw rate; `None` if it is not measured, or not told either.
     pub yaw_rate_sd_radps: Option<f64>,
 }
 
@@ -129,6 +129,8 @@ const MOST_STEERING_RAD: f64 = std::f64::consts::FRAC_PI_2;
 const HORIZONS_S: [f64; 2] = [1.0, 3.0];
 /// Above this share, the measured speed is called wrong.
 const SCALE_SHARE: f64 = 0.01;
+/// By this factor, nobody is off who has measured a wheelbase.
+const FAR_OFF: f64 = 1.3;
 /// Poses that are older or younger than the yaw rate by more than this are told: some ticks of a controller.
 const POSE_AGE_S: f64 = 0.02;
 
@@ -157,7 +159,8 @@ pub fn identify(
     let moving_s = chosen.iter().map(Stretch::moving_s).fold(0.0, |sum, it| sum + it);
     if moving_s < SHORTEST_S {
         let apart_s = usual_step_s(drives);
-        let back = chosen.iter().flat_map(|it| &it.smooth_mps).filter(|it| **it < -STANDING_MPS);
+        let all = drives.iter().flat_map(|it| &it.odometry);
+        let back = all.filter(|it| it.speed_mps < -STANDING_MPS);
         let is_backwards = back.count() as f64 * apart_s > moving_s;
         return Err(Refusal::TooShort { moving_s, needed_s: SHORTEST_S, apart_s, is_backwards });
     }
@@ -209,7 +212,7 @@ pub fn identify(
     let measured = |of: f64| has_yaw_rate.then_some(of);
     let noise = NoiseFound {
         speed_sd_mps: noise_of(&chosen, |it| &it.speed_mps),
-        yaw_rate_sd_radps: measured(noise_of(&chosen, |it| &it.yaw_rate_radps)),
+        yaw_rate_sd_radps: noise_of(&chosen, |it| &it.yaw_rate_radps).filter(|_| has_yaw_rate),
         position_sd_m: of_steering.weights.deviations[POSITION],
         // A triangular distribution of half width h has a standard deviation of h/√6.
         heading_half_width_rad: 6.0_f64.sqrt() * of_steering.weights.deviations[HEADING],
@@ -225,8 +228,11 @@ pub fn identify(
     let (old_car, new_car) =
         (Car { vehicle, point_m }, Car { vehicle: &new, point_m: options.point.of(&new) });
     let compared = compared(&chosen, old_car, new_car);
+    let mut delay_and_lag = delay_and_lag(&of_steering, vehicle);
+    let late_commands_s = drives.iter().map(|it| it.late_commands_s).fold(0.0, f64::max);
+    allow_for_late_commands(rows.iter_mut().chain([&mut delay_and_lag]), late_commands_s);
     let mut found = Identification {
-        delay_and_lag: delay_and_lag(&of_steering, vehicle),
+        delay_and_lag,
         predictions,
         noise,
         residuals,
@@ -270,6 +276,8 @@ pub fn identify(
 /// Limits of the file that the car did not have.
 fn beyond_limits(drive: &[Stretch], most_rad: f64, vehicle: &Vehicle) -> Vec<String> {
     const ROUNDING: f64 = 1.01;
+    /// The largest command, if they are shares.
+    const NORMALISED: std::ops::RangeInclusive<f64> = 0.95..=1.001;
     let fastest_mps =
         drive.iter().flat_map(|it| &it.smooth_mps).fold(0.0_f64, |most, it| most.max(*it));
     let wheels = (
@@ -277,8 +285,13 @@ fn beyond_limits(drive: &[Stretch], most_rad: f64, vehicle: &Vehicle) -> Vec<Str
         vehicle.steering_limit_rad,
         format!(
             "commands go up to {most_rad:.3} rad, and the file's steering_limit_rad is {}: by the file, the wheels turned no \
-             further; correct it if the car's do",
-            vehicle.steering_limit_rad
+             further; correct it if the car's do{}",
+            vehicle.steering_limit_rad,
+            if NORMALISED.contains(&most_rad) {
+                ", or give the commands in radians if they are shares of the full angle, from -1 to 1"
+            } else {
+                ""
+            }
         ),
     );
     let speed = (
@@ -325,7 +338,7 @@ fn slip_of(
 ) -> Option<Option<Slip>> {
     // The dynamic model's tyres slip by themselves.
     let slips = vehicle.model == VehicleModel::Kinematic;
-    slips.then(|| fit_slip(stretches, counts))
+    slips.then(|| fit_slip(stretches, vehicle.wheelbase_m, counts))
 }
 
 /// The vehicle with the slip of a row.
@@ -423,6 +436,16 @@ fn warnings(found: &Identification, of_steering: &Fitted) -> Vec<String> {
             (of_steering.at[steering::DELAY] + age_s).max(0.0)
         ));
     }
+    let is_length = |row: &&Row| row.key == "wheelbase_m" && row.identified;
+    if let Some(row) = found.rows.iter().find(is_length)
+        && !(1.0 / FAR_OFF..FAR_OFF).contains(&(row.after / row.before))
+    {
+        warnings.push(format!(
+            "a wheelbase of {:.3} m is found, and the file's is {} m: measure it; if the file is right, the commands are not the \
+             angles of the road wheels in radians, and --wheelbase-measured tells their gain",
+            row.after, row.before
+        ));
+    }
     if found.fitted_s < 0.9 * found.recorded_s {
         warnings.push(format!(
             "{:.0} s of {:.0} s were fitted: those with the most steering and changes of speed",
@@ -441,11 +464,18 @@ fn warnings(found: &Identification, of_steering: &Fitted) -> Vec<String> {
     if let (Some(left), Some(noise)) = (left.yaw_rate_radps, noise.yaw_rate_sd_radps) {
         check("yaw rate", "mrad/s", 1e3 * left, 1e3 * noise, 3.0);
     }
-    check("speed", "cm/s", 1e2 * left.speed_mps, 1e2 * noise.speed_sd_mps, 1.5);
+    if let Some(noise) = noise.speed_sd_mps {
+        check("speed", "cm/s", 1e2 * left.speed_mps, 1e2 * noise, 1.5);
+    }
     warnings
 }
 
-/// The noise of what was measured.
-fn noise_of(stretches: &[Stretch], of: fn(&Stretch) -> &Vec<f64>) -> f64 {
-    stretches.iter().map(|it| white_noise_sd(of(it))).fold(0.0, f64::max)
+/// The noise of what was measured while the car moves, as a sensor at rest may have none; `None` if nothing tells it.
+fn noise_of(stretches: &[Stretch], of: fn(&Stretch) -> &Vec<f64>) -> Option<f64> {
+    let of_stretch = |it: &Stretch| {
+        let differences = of(it).windows(4).zip(it.smooth_mps.windows(4));
+        let moving = differences.filter(|(_, v)| v.iter().all(|v| *v > STANDING_MPS));
+        white_noise_sd(moving.map(|(values, _)| values))
+    };
+    Some(stretches.iter().map(of_stretch).fold(0.0, f64::max)).filter(|sd| *sd > 0.0)
 }

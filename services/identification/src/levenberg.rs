@@ -97,9 +97,10 @@ fn sd_within(values: &[f64], within: f64) -> f64 {
     (sum / count.max(1) as f64).sqrt()
 }
 
-/// Standard deviation of white noise, whatever the car did: differences of the third order know no motion that is smooth.
-pub(crate) fn white_noise_sd(values: &[f64]) -> f64 {
-    let differences = values.windows(4).map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
+/// Standard deviation of white noise, whatever the car did, from every four samples that follow each other: differences of the
+/// third order know no motion that is smooth.
+pub(crate) fn white_noise_sd<'a>(fours: impl Iterator<Item = &'a [f64]>) -> f64 {
+    let differences = fours.map(|it| it[3] - 3.0 * it[2] + 3.0 * it[1] - it[0]);
     robust_sd(differences) / 20.0_f64.sqrt()
 }
 

@@ -112,6 +112,25 @@ struct Key<'a> {
     is_log: bool,
 }
 
+/// Of a key of which a drive tells nothing.
+const UNKNOWN: &str = "the drive tells nothing of it";
+
+/// That half an interval is too wide.
+fn known_to(half: f64, digits: usize) -> String {
+    if half.is_finite() { format!("known to ± {half:.digits$} only") } else { UNKNOWN.to_owned() }
+}
+
+/// Widens the intervals of dead times where commands may have been given up to so much before their times. The car then
+/// answered later than it seems.
+pub(crate) fn allow_for_late_commands<'a>(rows: impl Iterator<Item = &'a mut Row>, late_s: f64) {
+    let is_dead_time = |it: &&mut Row| {
+        ["steering_delay_s", "speed_delay_s", "steering_delay_s + steering_lag_s"].contains(&it.key)
+    };
+    for [_, high] in rows.filter(is_dead_time).filter_map(|it| it.interval.as_mut()) {
+        *high += late_s;
+    }
+}
+
 fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
     let told = fitted.told[key.of[0]];
     let at: f64 = key.of.iter().map(|&index| fitted.at[index]).sum();
@@ -119,8 +138,9 @@ fn row(fitted: &Fitted, key: &Key<'_>) -> Row {
     let half = fitted.half_of_whole(&factors);
     let value = |at: f64| if key.is_log { libm::exp(at) } else { at };
     let within = |half: f64| match key.is_log {
-        true => format!("known to a factor of {:.2} only", libm::exp(half)),
-        false => format!("known to ± {half:.3} only"),
+        true if half.is_finite() => format!("known to a factor of {:.2} only", libm::exp(half)),
+        true => UNKNOWN.to_owned(),
+        false => known_to(half, 3),
     };
     let unidentified = |why: String| Row {
         key: key.name,
@@ -227,7 +247,7 @@ fn tyre_rows(fitted: &Fitted, vehicle: &Vehicle) -> Vec<Row> {
             row.agrees = half <= MOST_TYRES_S2PM;
             row.why = Some(match row.agrees {
                 true => format!("the drive agrees with the file's value, to ± {half:.4}"),
-                false => format!("known to ± {half:.4} only"),
+                false => known_to(half, 4),
             });
         }
         row
@@ -255,7 +275,7 @@ pub(crate) fn slip_row(slip: Option<Slip>, vehicle: &Vehicle) -> Row {
             (None, Some(_)) => {
                 Some(format!("the drive agrees with the file's value, to ± {half:.4}"))
             }
-            (None, None) => Some(format!("known to ± {half:.4} only")),
+            (None, None) => Some(known_to(half, 4)),
         },
         agrees: told.is_none() && known.is_some(),
     }
@@ -305,7 +325,7 @@ pub(crate) fn delay_and_lag(fitted: &Fitted, vehicle: &Vehicle) -> Row {
         identified: is_known,
         roughly: false,
         only_with: None,
-        why: (!is_known).then(|| format!("known to ± {half:.3} only")),
+        why: (!is_known).then(|| known_to(half, 3)),
         agrees: false,
     }
 }

@@ -53,8 +53,12 @@ impl Sample {
 /// The interval is the wider of two: that of white noise of headings and positions, where a wrong heading moves all that
 /// follows in its window, and that of a regression whose errors go together within windows (Liang and Zeger, Biometrika 73,
 /// 1986).
-pub(crate) fn fit_slip(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) -> Option<Slip> {
-    let windows = all_windows(stretches, counts);
+pub(crate) fn fit_slip(
+    stretches: &[Stretch],
+    wheelbase_m: f64,
+    counts: &dyn Fn(usize) -> bool,
+) -> Option<Slip> {
+    let windows = all_windows(stretches, wheelbase_m, counts);
     let mut weights: Vec<Vec<f64>> = windows.iter().map(|it| vec![1.0; it.len()]).collect();
     let (mut found, mut inverse) = (Vector4::zeros(), Matrix4::zeros());
     for round in 0..ROUNDS {
@@ -79,8 +83,9 @@ pub(crate) fn fit_slip(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) ->
         }
     }
     let largest = |of: fn(&Stretch) -> f64| stretches.iter().map(of).fold(0.0, f64::max);
-    let yaw_sd = largest(|it| white_noise_sd(&it.yaw_rad));
-    let position_sd = largest(|it| white_noise_sd(&it.x_m).max(white_noise_sd(&it.y_m)));
+    let yaw_sd = largest(|it| white_noise_sd(it.yaw_rad.windows(4)));
+    let position_sd =
+        largest(|it| white_noise_sd(it.x_m.windows(4)).max(white_noise_sd(it.y_m.windows(4))));
     let (mut together, mut white) = (Matrix4::zeros(), Matrix4::zeros());
     for (window, weights) in windows.iter().zip(&weights) {
         let mut sum = Vector4::zeros();
@@ -106,14 +111,18 @@ pub(crate) fn fit_slip(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) ->
     (slip.at_s2pm.is_finite() && half_s2pm.is_finite()).then_some(slip)
 }
 
-fn all_windows(stretches: &[Stretch], counts: &dyn Fn(usize) -> bool) -> Vec<Vec<Sample>> {
+fn all_windows(
+    stretches: &[Stretch],
+    wheelbase_m: f64,
+    counts: &dyn Fn(usize) -> bool,
+) -> Vec<Vec<Sample>> {
     let mut all = Vec::new();
     let mut first_block = 0;
     for stretch in stretches {
         let half = (HEADING_S / stretch.tick_s).round() as usize;
         let headings: Vec<f64> =
             (0..stretch.len()).map(|at| heading(&stretch.yaw_rad, at, half)).collect();
-        for it in windows(stretch) {
+        for it in windows(stretch, wheelbase_m) {
             if it.moves && counts(first_block + block_of(stretch, it.range.start)) {
                 all.push(samples(stretch, &headings, it.range));
             }

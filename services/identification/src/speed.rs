@@ -170,7 +170,8 @@ impl<'a> Speed<'a> {
                 DELAY => (0.0, 0.95, 0.3, DELAY_STEP_S),
                 // No car brakes, or speeds up, as hard as that.
                 THROTTLE | BRAKE => {
-                    (prior[index] - 4.0, (prior[index] + 4.0).min(MOST_PEDAL), 1.2, 1e-5)
+                    let low = prior[index].min(MOST_PEDAL) - 4.0;
+                    (low, (prior[index] + 4.0).min(MOST_PEDAL), 1.2, 1e-5)
                 }
                 _ => (prior[index] - 4.0, prior[index] + 4.0, 1.2, 1e-5),
             };

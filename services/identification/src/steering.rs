@@ -47,6 +47,8 @@ pub(crate) const POSITION: usize = 2;
 
 /// Length of a window of poses, and of a block.
 pub(crate) const WINDOW_S: f64 = 3.0;
+/// How far a car has to go in a window, in wheelbases: half a metre of a family car.
+const LEAST_TRAVEL: f64 = 0.17;
 /// The heading's slope over ± this time stands in for a yaw rate that is not measured.
 const HEADING_S: f64 = 0.05;
 /// A lag that a file has not is looked for from here.
@@ -256,7 +258,7 @@ impl<'a> Steering<'a> {
                 put(YAW_RATE, &|index| is_moving(stretch, index));
             }
             if self.with_poses {
-                let windows = windows(stretch);
+                let windows = windows(stretch, self.vehicle.wheelbase_m);
                 let moves =
                     |index: usize| windows.iter().any(|it| it.range.contains(&index) && it.moves);
                 for channel in [HEADING, POSITION, POSITION] {
@@ -297,8 +299,9 @@ pub(crate) struct Window {
     pub(crate) moves: bool,
 }
 
-/// The windows of a stretch: its blocks.
-pub(crate) fn windows(stretch: &Stretch) -> Vec<Window> {
+/// The windows of a stretch: its blocks. A small car need not go as far as a large one.
+pub(crate) fn windows(stretch: &Stretch, wheelbase_m: f64) -> Vec<Window> {
+    let least_m = LEAST_TRAVEL * wheelbase_m;
     let mut windows = Vec::new();
     let mut first = 0;
     while first < stretch.len() {
@@ -309,8 +312,10 @@ pub(crate) fn windows(stretch: &Stretch) -> Vec<Window> {
         }
         let travel_m: f64 = stretch.smooth_mps[first..end].iter().sum::<f64>() * stretch.tick_s;
         let known = stretch.from_rest || block > 0;
-        windows
-            .push(Window { range: first..end, moves: known && travel_m > 0.5 && end - first > 9 });
+        windows.push(Window {
+            range: first..end,
+            moves: known && travel_m > least_m && end - first > 9,
+        });
         first = end;
     }
     windows
@@ -364,7 +369,7 @@ impl Model for Steering<'_> {
                 let age_s = at[POSE_AGE];
                 let track =
                     Track { stretch, rates: &rates, scale, point_m, slip_s2pm, mounted_rad, age_s };
-                for window in windows(stretch) {
+                for window in windows(stretch, self.vehicle.wheelbase_m) {
                     let range = window.range.clone();
                     if window.moves {
                         track.compare(&window, weights, [&mut *heading, &mut *x, &mut *y]);

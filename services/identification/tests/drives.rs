@@ -569,3 +569,114 @@ fn tyres_at_their_limit_are_not_taken_for_wheels_that_stop() {
     assert!((stop / 0.25 - 1.0).abs() < 0.03, "{stop}");
     assert!(!found.warnings.iter().any(slides), "{:?}", found.warnings);
 }
+
+#[test]
+fn intervals_of_dead_times_allow_for_commands_that_were_noted_late() {
+    let (car, file, mut dice) = car();
+    let mut driven = excite(&car, &SENSORS, &mut dice);
+    // Noted with the next row of the odometry, at 20 Hz: on average, half of a row late.
+    driven = thinned(driven, 5);
+    let all = std::mem::take(&mut driven.commands);
+    for seen in &driven.odometry {
+        let last = all.iter().rfind(|it| it.time_s <= seen.time_s + 1e-9).unwrap();
+        driven.commands.push(identification::Command { time_s: seen.time_s, ..*last });
+    }
+    let exact = identify(&[driven.clone()], &file, Options::default()).unwrap();
+    driven.late_commands_s = 0.05;
+    let found = identify(&[driven], &file, Options::default()).unwrap();
+    for (key, truth) in
+        [("steering_delay_s", car.steering_delay_s), ("speed_delay_s", car.speed_delay_s)]
+    {
+        let ((value, [low, high]), (same, narrow)) =
+            (told(&found, key).unwrap(), told(&exact, key).unwrap());
+        assert_eq!((value, low), (same, narrow[0]), "{key}");
+        assert!((high - 0.05 - narrow[1]).abs() < 1e-9, "{key}: {high} {}", narrow[1]);
+        assert!(narrow[1] < truth && low < truth && truth < high, "{key}: {truth} {low} {high}");
+    }
+    let [_, high] = found.delay_and_lag.interval.unwrap();
+    assert!(car.steering_delay_s + car.steering_lag_s < high, "{high}");
+}
+
+#[test]
+fn noise_is_that_of_a_car_that_moves() {
+    let (car, file, mut dice) = car();
+    let waits = |time_s: f64| match time_s {
+        ..60.0 => (0.0, 0.0),
+        _ => excitation(time_s - 60.0, 0.25, 2.0, 0.0),
+    };
+    let mut driven = drive(&car, EXCITATION_S + 60.0, &SENSORS, &mut dice, waits);
+    // A wheel's encoder tells no noise at rest.
+    for seen in driven.odometry.iter_mut().filter(|it| it.speed_mps.abs() < 0.1) {
+        seen.speed_mps = 0.0;
+    }
+    let found = identify(&[driven.clone()], &file, Options::default()).unwrap();
+    let sd_mps = found.noise.speed_sd_mps.unwrap();
+    assert!((sd_mps / SENSORS.speed_sd_mps - 1.0).abs() < 0.1, "{sd_mps}");
+    assert!(!found.warnings.iter().any(|it| it.contains("of the speed")), "{:?}", found.warnings);
+    // Coarser than its noise, a speed tells none.
+    for seen in &mut driven.odometry {
+        seen.speed_mps = (seen.speed_mps / 0.2).round() * 0.2;
+    }
+    let found = identify(&[driven], &file, Options::default()).unwrap();
+    assert_eq!(found.noise.speed_sd_mps, None);
+    assert!(!found.warnings.iter().any(|it| it.contains("of the speed")), "{:?}", found.warnings);
+}
+
+#[test]
+fn samples_that_arrive_several_at_a_time_tell_the_same_car() {
+    let (car, file, mut dice) = car();
+    let mut driven = excite(&car, &SENSORS, &mut dice);
+    for (at, seen) in driven.odometry.iter_mut().enumerate() {
+        // Three of four wait for the last of their batch.
+        seen.time_s += 0.01 * (3 - at % 4) as f64 - 1e-5 * (3 - at % 4) as f64;
+    }
+    let found = identify(&[driven], &file, Options::default()).unwrap();
+    assert!((found.recorded_s - EXCITATION_S).abs() < 0.1, "{}", found.recorded_s);
+    assert!((found.vehicle.wheelbase_m / car.wheelbase_m - 1.0).abs() < 0.01);
+    // Late by 15 ms on average.
+    let sum_s = found.delay_and_lag.after - car.steering_delay_s - car.steering_lag_s;
+    assert!((sum_s - 0.015).abs() < 0.01, "{sum_s}");
+}
+
+#[test]
+fn what_is_driven_backwards_does_not_bend_the_speed_loop() {
+    let (car, file, mut dice) = car();
+    let mut driven = excite(&car, &SENSORS, &mut dice);
+    let end_s = driven.odometry.last().unwrap().time_s;
+    // It stops, goes back for six seconds, and drives the excitation once more.
+    let mut again = excite(&car, &SENSORS, &mut dice);
+    for tick in 0..900 {
+        let (time_s, last) = (end_s + 0.01 * f64::from(tick + 1), *driven.odometry.last().unwrap());
+        let speed_mps = if (200..800).contains(&tick) { -1.0 } else { 0.0 };
+        driven.commands.push(identification::Command { time_s, steering_rad: 0.0, speed_mps });
+        let odometry = identification::Odometry { time_s, yaw_rate_radps: 0.0, speed_mps, ..last };
+        driven.odometry.push(odometry);
+    }
+    again.commands.iter_mut().for_each(|it| it.time_s += end_s + 9.01);
+    again.odometry.iter_mut().for_each(|it| it.time_s += end_s + 9.01);
+    driven.commands.append(&mut again.commands);
+    driven.odometry.append(&mut again.odometry);
+    let found = identify(&[driven], &file, Options::default()).unwrap();
+    let product = |it: &Vehicle| it.speed_kp * it.throttle_accel_mps2;
+    let off = product(&found.vehicle) / product(&car) - 1.0;
+    assert!(off.abs() < 0.03, "{off}");
+    assert!(found.residuals.speed_mps < 0.022, "{}", found.residuals.speed_mps);
+}
+
+#[test]
+fn a_file_that_is_far_off_is_doubted_or_fitted_but_never_the_end() {
+    let (car, mut file, mut dice) = car();
+    let driven = excite(&car, &SENSORS, &mut dice);
+    // A ratio of brake to throttle that no car has.
+    (file.throttle_accel_mps2, file.brake_decel_mps2) = (0.01, 30.0);
+    file.wheelbase_m = 1.6 * car.wheelbase_m;
+    let found = identify(std::slice::from_ref(&driven), &file, Options::default()).unwrap();
+    assert!((found.vehicle.wheelbase_m / car.wheelbase_m - 1.0).abs() < 0.01);
+    assert!(found.warnings.iter().any(|it| it.contains("measure it")), "{:?}", found.warnings);
+    // Commands that are shares of the full angle.
+    let (_, file, _) = self::car();
+    let mut shares = driven;
+    shares.commands.iter_mut().for_each(|it| it.steering_rad /= 0.25);
+    let found = identify(&[shares], &file, Options::default()).unwrap();
+    assert!(found.warnings.iter().any(|it| it.contains("from -1 to 1")), "{:?}", found.warnings);
+}
