@@ -180,6 +180,33 @@ fn smooth(values: &[f64], half: usize) -> Vec<f64> {
     (0..values.len()).map(mean).collect()
 }
 
+/// What depends on a length of time alone, for lengths that come again and again: a drive with even ticks has few of them.
+#[derive(Debug)]
+pub(crate) struct ByLength<T> {
+    made: [Option<(f64, T)>; 4],
+    next: usize,
+}
+
+impl<T: Copy> ByLength<T> {
+    pub(crate) fn new() -> Self {
+        Self { made: [None; 4], next: 0 }
+    }
+
+    /// What is made of a length, or was made of the same one before.
+    #[inline]
+    pub(crate) fn get(&mut self, length_s: f64, make: impl FnOnce() -> T) -> T {
+        for (of_s, made) in self.made.iter().flatten() {
+            if (of_s - length_s).abs() < ROUNDING_S {
+                return *made;
+            }
+        }
+        let made = make();
+        self.made[self.next] = Some((length_s, made));
+        self.next = (self.next + 1) % self.made.len();
+        made
+    }
+}
+
 /// Walks through the samples of a stretch and the commands that arrive `delay_s` late in between: `part(index, command,
 /// length_s)` is called for each part of the time before sample `index` in which one command acts, and is never longer than
 /// `longest_s`. Parts also end where commands arrive that are `cut_s` late, if it is given.
@@ -207,7 +234,10 @@ pub(crate) fn walk(
             let until_s = arrival_s.min(also_s).min(end_s);
             let length_s = until_s - now_s;
             if length_s > ROUNDING_S {
-                let pieces = (length_s / longest_s - 1e-6).ceil().max(1.0);
+                let pieces = match length_s <= longest_s {
+                    true => 1.0,
+                    false => (length_s / longest_s - 1e-6).ceil().max(1.0),
+                };
                 for _ in 0..pieces as usize {
                     part(index, held, length_s / pieces);
                 }

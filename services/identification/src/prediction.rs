@@ -212,7 +212,8 @@ pub(crate) fn way(
     };
     walk(&cut, car.vehicle.speed_delay_s, None, STEP_S, |index, command, held_s| {
         let before_mps = state.speed_mps;
-        state.step(car.vehicle, command.speed_mps, true, held_s);
+        let share = speed::pedal_share(car.vehicle, held_s);
+        state.step(car.vehicle, command.speed_mps, true, (held_s, share));
         let wheels = [angles[start + index - 1], angles[start + index]];
         let speed_mps = 0.5 * (before_mps + state.speed_mps);
         let turned = turning.turn_evenly(wheels, speed_mps, held_s);

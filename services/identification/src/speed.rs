@@ -10,7 +10,7 @@
 
 use config::Vehicle;
 
-use crate::drive::{STANDING_MPS, Stretch, walk};
+use crate::drive::{ByLength, STANDING_MPS, Stretch, walk};
 use crate::levenberg::{Axis, Model, Place};
 use crate::steering::{block_of, blocks_of};
 
@@ -88,8 +88,14 @@ impl SpeedLoop {
         Self { speed_mps, integral, throttle: pedal.max(0.0), brake: (-pedal).max(0.0) }
     }
 
-    /// One step under a command, as the plant takes it.
-    pub(crate) fn step(&mut self, vehicle: &Vehicle, command_mps: f64, engaged: bool, held_s: f64) {
+    /// One step under a command, as the plant takes it. `share`: of its way that a pedal makes in it.
+    pub(crate) fn step(
+        &mut self,
+        vehicle: &Vehicle,
+        command_mps: f64,
+        engaged: bool,
+        (held_s, share): (f64, f64),
+    ) {
         let command_mps = command_mps.min(vehicle.speed_limit_mps);
         let error = command_mps - self.speed_mps;
         self.integral = (self.integral + vehicle.speed_ki * error * held_s)
@@ -98,7 +104,6 @@ impl SpeedLoop {
         if command_mps < 0.0 {
             pedals = pedals.min(0.0);
         }
-        let share = -libm::expm1(-held_s / vehicle.pedal_lag_s);
         self.throttle += share * (pedals.max(0.0) - self.throttle);
         self.brake += share * ((-pedals).max(0.0) - self.brake);
         let mut accel_mps2 = -vehicle.drag_per_s * self.speed_mps
@@ -109,6 +114,11 @@ impl SpeedLoop {
         }
         self.speed_mps = (self.speed_mps + accel_mps2 * held_s).max(0.0);
     }
+}
+
+/// The share of its way that a pedal makes in a time.
+pub(crate) fn pedal_share(vehicle: &Vehicle, held_s: f64) -> f64 {
+    -libm::expm1(-held_s / vehicle.pedal_lag_s)
 }
 
 /// The acceleration over the first part of a stretch.
@@ -140,8 +150,10 @@ pub(crate) fn run(stretch: &Stretch, vehicle: &Vehicle) -> Vec<SpeedLoop> {
     let engages = if vehicle.gear_engaged || !stretch.from_rest { 0 } else { begin };
     let mut states = vec![state; stretch.len()];
     let steering_s = Some(vehicle.steering_delay_s);
+    let mut shares = ByLength::new();
     walk(stretch, vehicle.speed_delay_s, steering_s, STEP_S, |index, command, held_s| {
-        state.step(vehicle, command.speed_mps, index >= engages, held_s);
+        let share = shares.get(held_s, || pedal_share(vehicle, held_s));
+        state.step(vehicle, command.speed_mps, index >= engages, (held_s, share));
         states[index] = state;
     });
     states

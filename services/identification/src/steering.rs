@@ -11,9 +11,9 @@
 //!   the yaw rate: where one is measured, it tells the dead time.
 
 use config::{Vehicle, VehicleModel};
-use tracking::{SteeringActuator, Turning};
+use tracking::{SteeringActuator, SteeringStep, Turning};
 
-use crate::drive::{STANDING_MPS, Stretch, walk};
+use crate::drive::{ByLength, STANDING_MPS, Stretch, walk};
 use crate::levenberg::{Axis, Model, Place};
 
 pub(crate) const WHEELBASE: usize = 0;
@@ -124,8 +124,10 @@ pub(crate) fn wheels(stretch: &Stretch, vehicle: &Vehicle) -> Vec<f64> {
     let mut angle_rad =
         actuator.target_rad(stretch.first_acting(vehicle.steering_delay_s).steering_rad);
     let mut angles = vec![angle_rad; stretch.len()];
+    let mut steps = ByLength::new();
     walk(stretch, vehicle.steering_delay_s, None, f64::INFINITY, |index, command, length_s| {
-        angle_rad = actuator.turn(angle_rad, command.steering_rad, length_s);
+        let step = steps.get(length_s, || SteeringStep::new(actuator, length_s));
+        angle_rad = step.turn(angle_rad, command.steering_rad);
         angles[index] = angle_rad;
     });
     angles

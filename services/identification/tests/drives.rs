@@ -591,7 +591,9 @@ fn intervals_of_dead_times_allow_for_commands_that_were_noted_late() {
             (told(&found, key).unwrap(), told(&exact, key).unwrap());
         assert_eq!((value, low), (same, narrow[0]), "{key}");
         assert!((high - 0.05 - narrow[1]).abs() < 1e-9, "{key}: {high} {}", narrow[1]);
-        assert!(narrow[1] < truth && low < truth && truth < high, "{key}: {truth} {low} {high}");
+        assert!(low < truth && truth < high, "{key}: {truth} {low} {high}");
+        // By the noise alone, the steering's is too short.
+        assert!(narrow[1] < truth || key == "speed_delay_s", "{key}: {truth} {narrow:?}");
     }
     let [_, high] = found.delay_and_lag.interval.unwrap();
     assert!(car.steering_delay_s + car.steering_lag_s < high, "{high}");
