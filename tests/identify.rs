@@ -253,9 +253,10 @@ fn the_excitation_is_driven_and_names_the_command_that_identifies() {
 }
 
 /// A bag with a recording's odometry, in which the car was told twists by a wheelbase. `is_named`: with the type of the twists.
-fn as_twists(recording: &Path, bag: &Path, wheelbase_m: f64, is_named: bool) {
+/// `has_rate`: with the recording's yaw rate; NaN otherwise.
+fn as_twists(recording: &Path, bag: &Path, wheelbase_m: f64, is_named: bool, has_rate: bool) {
     use byteorder::LittleEndian;
-    use ros2_vehicle::messages::{AckermannDriveStamped, Twist};
+    use ros2_vehicle::messages::{AckermannDriveStamped, Odometry, Twist};
     let file = std::io::BufWriter::new(fs::File::create(bag).unwrap());
     let mut writer = mcap::Writer::new(file).unwrap();
     let twist = match is_named {
@@ -275,8 +276,13 @@ fn as_twists(recording: &Path, bag: &Path, wheelbase_m: f64, is_named: bool) {
     };
     recorder::reading::read_any(recording, |it| {
         let (topic, time_ns, data) = (it.topic, it.log_time_ns, it.data);
-        if topic == "/odom" {
+        if topic == "/odom" && has_rate {
             write(0, time_ns, data);
+        } else if topic == "/odom" {
+            let (mut told, _) = cdr_encoding::from_bytes::<Odometry, LittleEndian>(&data[4..])?;
+            told.twist.twist.angular.z = f64::NAN;
+            let body = cdr_encoding::to_vec::<_, LittleEndian>(&told)?;
+            write(0, time_ns, &[&[0, 1, 0, 0], &body[..]].concat());
         } else if topic == "/cmd" {
             let (told, _) =
                 cdr_encoding::from_bytes::<AckermannDriveStamped, LittleEndian>(&data[4..])?;
@@ -305,8 +311,9 @@ fn twists_tell_how_much_the_car_turns_and_not_its_wheelbase() {
     let (file, truth) = (vehicle(&sandbox, "car.toml"), vehicle(&sandbox, "true.toml"));
     let by_m = file.wheelbase_m / 0.9;
     let recording = sandbox.path("out/recording.mcap");
-    as_twists(&recording, &sandbox.path("twists.mcap"), by_m, false);
-    as_twists(&recording, &sandbox.path("named.mcap"), by_m, true);
+    as_twists(&recording, &sandbox.path("twists.mcap"), by_m, false, true);
+    as_twists(&recording, &sandbox.path("named.mcap"), by_m, true, true);
+    as_twists(&recording, &sandbox.path("blind.mcap"), by_m, true, false);
     let identify = |bag: &str, more: &[&str]| {
         let args = ["identify", bag, "--vehicle", "car.toml", "--json", "--simulated"];
         let topics = ["--odometry", "/odom", "--command", "/cmd_vel"];
@@ -330,6 +337,12 @@ fn twists_tell_how_much_the_car_turns_and_not_its_wheelbase() {
     // The file's angles are 0.9 times those of the car, and its wheelbase is another.
     let gain = row("steering_gain").unwrap()["after"].as_f64().unwrap();
     near(gain, file.wheelbase_m / truth.wheelbase_m / 0.9, 0.01);
+    // Without a yaw rate, the heading tells it.
+    let blind: Value = serde_json::from_slice(&identify("blind.mcap", &[]).stdout).unwrap();
+    assert!(blind["identification"]["noise"]["yaw_rate_sd_radps"].is_null(), "{blind}");
+    let mut rows = blind["identification"]["rows"].as_array().unwrap().iter();
+    let row = rows.find(|row| row["key"] == "steering_gain").unwrap();
+    near(row["after"].as_f64().unwrap(), gain, 0.02);
 }
 
 #[test]
@@ -372,6 +385,64 @@ fn a_recording_of_ours_is_read_as_such_and_as_the_bag_that_it_also_is() {
     refused(&sandbox, &["cut.mcap"], &["record a longer drive", "cut.mcap was cut off"]);
     let odo = ["cut.mcap", "--odometry", "/odo"];
     refused(&sandbox, &odo, &["has no odometry on /odo", "it was cut off"]);
+    sandbox.assert_clean();
+}
+
+#[test]
+fn a_recording_counts_once_by_whatever_names_it_is_given() {
+    let sandbox = sandbox();
+    let args = ["drive", "roundabout", "--vehicle", "true.toml", "--record", "--out", "out"];
+    let output = sandbox.run(&[&args[..], &["--record-split", "1M"]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let part = |number: usize| format!("out/recording-{number:04}.mcap");
+    assert!(sandbox.path(&part(2)).exists());
+    let moving_s = |drives: &[&str]| {
+        let args = ["--vehicle", "car.toml", "--json", "--simulated"];
+        let output = sandbox.run(&[&["identify"], drives, &args[..]].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+        (json["identification"]["moving_s"].as_f64().unwrap(), stderr(&output))
+    };
+    // The first part names the one that continues it.
+    let (once, said) = moving_s(&[&part(1)]);
+    assert!(!said.contains("counts once"), "{said}");
+    let (all, said) = moving_s(&[&part(1), &part(2), "./out/../out/recording-0001.mcap"]);
+    assert_eq!(all, once);
+    assert!(said.contains(&format!("{}, ./out/..", part(2))), "{said}");
+    assert!(said.contains("counts once"), "{said}");
+    sandbox.assert_clean();
+}
+
+#[test]
+fn what_the_configuration_would_refuse_never_stands_in_the_file_and_rollbacks_keep_all() {
+    use std::os::unix::fs::MetadataExt as _;
+    let sandbox = sandbox();
+    write_drive(&sandbox, "drive.csv", |measured, _, _| measured);
+    // The noise that is found would be a jump.
+    fs::write(sandbox.path("car.toml"), format!("{FILE}jump_limit_m = 0.04\n")).unwrap();
+    let inode = || fs::metadata(sandbox.path("car.toml")).unwrap().ino();
+    let before = inode();
+    let parts = ["car.toml", "nothing was written", "jump_limit_m"];
+    let args = ["identify", "drive.csv", "--vehicle", "car.toml", "--write"];
+    let output = sandbox.run(&args);
+    assert_eq!(output.status.code(), Some(64), "{}", stderr(&output));
+    for part in parts {
+        assert!(stderr(&output).contains(part), "{}", stderr(&output));
+    }
+    assert_eq!(inode(), before, "another file was in its place");
+    assert!(!sandbox.path("car.toml.before-1").exists());
+    // Two rounds of writing and rolling back keep what both wrote.
+    fs::write(sandbox.path("car.toml"), FILE).unwrap();
+    for after in ["car.toml.after-1", "car.toml.after-2"] {
+        assert!(!sandbox.path(after).exists());
+        let output = sandbox.run(&args);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let written = sandbox.text("car.toml");
+        let back = sandbox.run(&["identify", "--rollback", "--vehicle", "car.toml"]);
+        assert!(back.status.success(), "{}", stderr(&back));
+        assert!(String::from_utf8_lossy(&back.stdout).contains(after));
+        assert_eq!((sandbox.text(after), sandbox.text("car.toml")), (written, FILE.to_owned()));
+    }
     sandbox.assert_clean();
 }
 

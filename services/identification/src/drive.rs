@@ -325,3 +325,42 @@ impl Stretch {
         moving * changes.sum::<f64>() / self.len() as f64
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stretch_begins_anew_behind_what_is_driven_backwards_and_has_the_tick_of_its_batches() {
+        let speed_mps = |time_s: f64| if (6.0..7.0).contains(&time_s) { -0.5 } else { 1.0 };
+        let mut drive = Drive::default();
+        for tick in 0..1200_u32 {
+            // Four at a time, and a slip backwards that is too short to be a gap.
+            let time_s = 0.04 * f64::from(tick / 4) + 1e-5 * f64::from(tick % 4);
+            let speed_mps = if tick == 300 { -0.5 } else { speed_mps(time_s) };
+            drive.odometry.push(Odometry { time_s, speed_mps, ..Odometry::default() });
+        }
+        let all = stretches(&drive);
+        let ends: Vec<(f64, f64)> =
+            all.iter().map(|it| (it.time_s[0], it.time_s[it.len() - 1])).collect();
+        assert_eq!(all.len(), 2, "{ends:?}");
+        assert!(ends[0].1 < 6.0 && ends[1].0 > 6.99, "{ends:?}");
+        assert!(all.iter().all(|it| (it.tick_s / 0.01 - 1.0).abs() < 0.01));
+    }
+
+    #[test]
+    fn nothing_acts_on_a_car_at_rest_before_its_first_command() {
+        let mut drive = Drive::default();
+        for tick in 0..1000_u32 {
+            let time_s = 0.01 * f64::from(tick);
+            drive.odometry.push(Odometry { time_s, ..Odometry::default() });
+        }
+        let command = Command { time_s: 3.0, steering_rad: 0.1, speed_mps: 2.0 };
+        drive.commands.push(command);
+        let first = |drive: &Drive| stretches(drive)[0].first_acting(0.2);
+        assert_eq!(first(&drive), Command::default());
+        // One that begins within a drive was commanded before.
+        drive.odometry.iter_mut().for_each(|it| it.speed_mps = 2.0);
+        assert_eq!(first(&drive), command);
+    }
+}

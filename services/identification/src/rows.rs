@@ -388,6 +388,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn what_a_drive_does_not_tell_is_said_without_an_infinite_number() {
+        let vehicle = config::Layers::vehicle_of_file("f1tenth").unwrap();
+        assert_eq!(slip_row(None, &vehicle).why.as_deref(), Some(UNKNOWN));
+        assert_eq!(known_to(0.0123, 3), "known to ± 0.012 only");
+    }
+
+    #[test]
     fn a_point_is_as_uncertain_as_the_slip_beside_it_makes_it() {
         let row = |key, identified| Row {
             key,
