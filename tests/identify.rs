@@ -392,7 +392,7 @@ fn a_recording_of_ours_is_read_as_such_and_as_the_bag_that_it_also_is() {
 fn a_recording_counts_once_by_whatever_names_it_is_given() {
     let sandbox = sandbox();
     let args = ["drive", "roundabout", "--vehicle", "true.toml", "--record", "--out", "out"];
-    let output = sandbox.run(&[&args[..], &["--record-split", "1M"]].concat());
+    let output = sandbox.run(&[&args[..], &["--record-split", "64k"]].concat());
     assert!(output.status.success(), "{}", stderr(&output));
     let part = |number: usize| format!("out/recording-{number:04}.mcap");
     assert!(sandbox.path(&part(2)).exists());

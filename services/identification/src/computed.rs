@@ -132,9 +132,12 @@ impl<'a> Seen<'a> {
             median(left) < most && (!is_coarse || within >= WITHIN_A_GRAIN * left.len() as f64)
         };
         let mut best = (f64::INFINITY, 0.0, 0.0, Vec::new());
-        for late in 0..=self.most_late {
+        // The speed in the formula is the one that is told, or one that has not its noise.
+        let speeds = [&self.stretch.speed_mps, &self.stretch.smooth_mps];
+        let tries = || (0..=self.most_late).flat_map(|late| speeds.map(|speed| (late, speed)));
+        for (late, speed_mps) in tries() {
             for lag_s in [0.0, 0.02, 0.04, 0.06, 0.09, 0.12, 0.16, 0.2, 0.3] {
-                let (mut left, wheelbase_m) = self.formula_left(rates, late, lag_s);
+                let (mut left, wheelbase_m) = self.formula_left(rates, speed_mps, late, lag_s);
                 let middle = median(&mut left);
                 if middle < best.0 {
                     best = (middle, lag_s, wheelbase_m, left);
@@ -145,9 +148,11 @@ impl<'a> Seen<'a> {
         if !left.is_empty() && lag_s < LAG_S && is_formula(&mut left) {
             return Some(Computed::FromCommand { wheelbase_m });
         }
-        let is_function =
-            |late| self.function_left(rates, late).is_some_and(|mut left| is_formula(&mut left));
-        (0..=self.most_late).any(is_function).then_some(Computed::OfCommand)
+        let is_function = |(late, speed_mps): (usize, &Vec<f64>)| {
+            let left = self.function_left(rates, speed_mps, late);
+            left.is_some_and(|mut left| is_formula(&mut left))
+        };
+        tries().any(is_function).then_some(Computed::OfCommand)
     }
 
     /// The command of so many samples before.
@@ -157,7 +162,13 @@ impl<'a> Seen<'a> {
 
     /// What v·tan(angle)/L leaves of the yaw rate while the command changes, for an angle that is so many samples late and has
     /// a lag, and this L.
-    fn formula_left(&self, rates: &[f64], late: usize, lag_s: f64) -> (Vec<f64>, f64) {
+    fn formula_left(
+        &self,
+        rates: &[f64],
+        speed_mps: &[f64],
+        late: usize,
+        lag_s: f64,
+    ) -> (Vec<f64>, f64) {
         /// Of the yaw rate's largest value, from which on it tells L.
         const TELLING: f64 = 0.2;
         let stretch = self.stretch;
@@ -167,7 +178,7 @@ impl<'a> Seen<'a> {
             let held_s = if at > 0 { stretch.time_s[at] - stretch.time_s[at - 1] } else { 0.0 };
             let share = if lag_s == 0.0 { 1.0 } else { -libm::expm1(-held_s / lag_s) };
             angle += share * (self.before(at, late) - angle);
-            *expected = stretch.speed_mps[at] * libm::tan(angle);
+            *expected = speed_mps[at] * libm::tan(angle);
         }
         let most = self.moving.iter().fold(0.0_f64, |most, &at| most.max(expected[at].abs()));
         let turning = self.moving.iter().filter(|&&at| expected[at].abs() > TELLING * most);
@@ -179,8 +190,7 @@ impl<'a> Seen<'a> {
     }
 
     /// What the best polynomial of the command leaves of the yaw rate while the command changes.
-    fn function_left(&self, rates: &[f64], late: usize) -> Option<Vec<f64>> {
-        let speed_mps = &self.stretch.speed_mps;
+    fn function_left(&self, rates: &[f64], speed_mps: &[f64], late: usize) -> Option<Vec<f64>> {
         // Powers of about 1 at most.
         let expected = |at: usize| {
             let x = self.before(at, late) / 0.5;

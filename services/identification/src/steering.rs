@@ -67,13 +67,13 @@ pub(crate) const GRIP_MPS2: f64 = 3.0;
 /// So many steps of the command, at least, tell how quick the wheels are.
 const TELLING_STEPS: usize = 5;
 
-/// Wheels may turn by so many times as much as they are told.
-const MOST_TURNED: f64 = 2.0;
+/// Wheels turn by no more than so many times as much as they are told, where that is looked for.
+const MOST_GAIN: f64 = 2.0;
 
 /// A steering rate from which on the wheels keep up with these commands from one sample to the next: a quicker one cannot
 /// show. What is held at the samples counts: commands may come several times between two of them. Single steps, as where a
-/// recording begins, do not count.
-fn quickest_radps(stretches: &[Stretch]) -> f64 {
+/// recording begins, do not count. `gain`: by how many times as much as they are told the wheels turn.
+fn quickest_radps(stretches: &[Stretch], gain: f64) -> f64 {
     let of_stretch = |it: &Stretch| {
         let held: Vec<f64> =
             it.time_s.iter().map(|&time| it.command_at(time).steering_rad).collect();
@@ -82,7 +82,7 @@ fn quickest_radps(stretches: &[Stretch]) -> f64 {
     };
     let mut rates: Vec<f64> = stretches.iter().flat_map(of_stretch).collect();
     rates.sort_unstable_by(|a, b| b.total_cmp(a));
-    let rate = MOST_TURNED * rates.get(TELLING_STEPS - 1).copied().unwrap_or(0.0);
+    let rate = gain * rates.get(TELLING_STEPS - 1).copied().unwrap_or(0.0);
     rate.clamp(2.0 * libm::exp(LEAST_LOG_RATE), MOST_RATE_RADPS)
 }
 
@@ -191,11 +191,12 @@ impl<'a> Steering<'a> {
         let slips = vehicle.model == VehicleModel::Kinematic;
         let has_yaw_rate =
             stretches.iter().all(|it| it.yaw_rate_radps.iter().all(|rate| rate.is_finite()));
+        let gain = if wheelbase_is_measured { MOST_GAIN } else { vehicle.steering_gain };
         let axes = vec![
             axis(WHEELBASE, prior[0] - 2.0, prior[0] + 2.0, 0.7, 1e-5, !wheelbase_is_measured),
             axis(DELAY, 0.0, 0.95, 0.3, 1e-4, true),
             axis(LAG, log(0.002), log(3.0), 1.2, 1e-4, true),
-            axis(RATE, LEAST_LOG_RATE, log(quickest_radps(stretches)), 1.2, 1e-4, true),
+            axis(RATE, LEAST_LOG_RATE, log(quickest_radps(stretches, gain)), 1.2, 1e-4, true),
             axis(OFFSET, -0.4, 0.4, 0.1, 1e-6, true),
             axis(GAIN, log(0.1), log(10.0), 0.7, 1e-5, wheelbase_is_measured),
             axis(POINT, -7.0 * length_m, 7.0 * length_m, 0.7 * length_m, 1e-4, with_poses),
