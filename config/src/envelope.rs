@@ -190,7 +190,9 @@ fn in_order(named: &NamedParameters) -> String {
 /// FNV-1a over path and reference, as a configuration's file has them.
 fn path_hash(config: &RunConfig) -> String {
     let text = |it: Result<String, toml::ser::Error>| it.expect("a configuration can be written");
-    let texts = [text(toml::to_string(&config.path)), text(toml::to_string(&config.reference))];
+    // A file may be renamed.
+    let path = crate::PathConfig { name: String::new(), ..config.path.clone() };
+    let texts = [text(toml::to_string(&path)), text(toml::to_string(&config.reference))];
     let hash = texts
         .iter()
         .flat_map(|text| text.bytes())

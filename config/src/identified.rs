@@ -33,7 +33,21 @@ pub fn put_found(text: &str, found: &Found) -> Result<String, String> {
         let interval: toml_edit::Array = [*low, *high].into_iter().collect();
         stated.insert(key, toml_edit::value(interval));
     }
-    let mut above = String::from("\n");
+    // What the user has written above the table stays: at the end of the keys that come before it, where he put it. What was
+    // found in an earlier drive does not.
+    let of_user = match document.get(UNCERTAINTY).and_then(Item::as_table) {
+        Some(old) => {
+            let above = old.decor().prefix().and_then(toml_edit::RawString::as_str);
+            let above = above.unwrap_or_default();
+            above.find(FOUND).map_or(above, |at| &above[..at]).trim_end().to_owned()
+        }
+        None => {
+            let trailing = document.trailing().as_str().unwrap_or_default().trim_end().to_owned();
+            document.set_trailing("");
+            trailing
+        }
+    };
+    let mut above = if of_user.is_empty() { String::from("\n") } else { format!("{of_user}\n\n") };
     for line in &found.provenance {
         // A line end in the name of a file would leave the comment.
         let line: String = line.chars().map(|it| if it.is_control() { '?' } else { it }).collect();
@@ -68,6 +82,8 @@ pub fn put_found(text: &str, found: &Found) -> Result<String, String> {
     Ok(new)
 }
 
+/// How the lines begin that say where intervals come from.
+const FOUND: &str = "# Found by `pathtune identify`";
 /// The table of the intervals.
 const UNCERTAINTY: &str = "uncertainty";
 
@@ -87,12 +103,17 @@ fn put_values(text: &str, values: &[(String, f64)]) -> Result<String, String> {
             })?;
         }
         let mut new = toml_edit::Value::from(*value);
-        match at.get(name) {
-            Some(Item::Value(old)) => *new.decor_mut() = old.decor().clone(),
+        match at.get_mut(name) {
+            // In its place: a key that is put in anew loses the comments above it.
+            Some(Item::Value(old)) => {
+                *new.decor_mut() = old.decor().clone();
+                *old = new;
+            }
             Some(_) => return Err(format!("{key}: is not a number")),
-            None => {}
+            None => {
+                at.insert(name, Item::Value(new));
+            }
         }
-        at.insert(name, Item::Value(new));
     }
     let mut new = document.to_string();
     if text.contains("\r\n") {
@@ -147,17 +168,42 @@ mod tests {
     }
 
     #[test]
+    fn comments_stay_above_their_keys_and_at_the_end_of_their_table() {
+        let text = "# Mine.\nname = \"mine\"\n\n# By tape, axle to axle.\nwheelbase_m = 2.9\n# steering_limit_rad = 0.35\n";
+        let found = |from: &str| Found {
+            values: vec![("wheelbase_m".to_owned(), 2.87)],
+            intervals: vec![("wheelbase_m".to_owned(), [2.86, 2.88])],
+            provenance: vec![format!("Found by `pathtune identify` in {from}")],
+        };
+        let first = put_found(text, &found("one")).unwrap();
+        let keys = "# Mine.\nname = \"mine\"\n\n# By tape, axle to axle.\nwheelbase_m = 2.87\n# steering_limit_rad = 0.35\n\n";
+        let whole = |from: &str| {
+            format!(
+                "{keys}# Found by `pathtune identify` in {from}\n[uncertainty]\nidentified = true\nwheelbase_m = [2.86, 2.88]\n"
+            )
+        };
+        assert_eq!(first, whole("one"));
+        assert_eq!(put_found(&first, &found("two")).unwrap(), whole("two"));
+    }
+
+    #[test]
     fn intervals_replace_those_of_an_earlier_drive_and_say_where_they_come_from() {
         let text =
             "# Mine.\nwheelbase_m = 2.9 # by tape\n\n[safety]\n# Softly.\njerk_limit_mps3 = 60.0\n";
         let found = |low: f64, from: &str| Found {
             values: vec![("wheelbase_m".to_owned(), low + 0.01)],
             intervals: vec![("wheelbase_m".to_owned(), [low, low + 0.02])],
-            provenance: vec![format!("Found in {from}"), "a\nb = 3".to_owned()],
+            provenance: vec![
+                format!("Found by `pathtune identify` in {from}"),
+                "a\nb = 3".to_owned(),
+            ],
         };
         let first = put_found(text, &found(2.86, "one.mcap")).unwrap();
-        for part in ["# by tape", "# Softly.", "\n# Found in one.mcap\n# a?b = 3\n[uncertainty]\n"]
-        {
+        for part in [
+            "# by tape",
+            "# Softly.",
+            "\n# Found by `pathtune identify` in one.mcap\n# a?b = 3\n[uncertainty]\n",
+        ] {
             assert!(first.contains(part), "{first}");
         }
         let table: toml::Table = first.parse().unwrap();

@@ -255,6 +255,7 @@ impl Layers {
         let Self { mut values, mut origins, base, borrowed, .. } = self;
         let keys_borrowed = borrowed.as_ref().map(|it| it.keys.clone());
         take_stated_noise(&mut values, &mut origins);
+        drop_intervals_of_other_values(&mut values, &origins);
         take_limits_of_vehicle(&mut values);
         take_rate_of_vehicle(&mut values, &origins);
         let origin_of = |key: &str| {
@@ -569,6 +570,32 @@ fn take_limits_of_vehicle(values: &mut Table) {
         if place.as_str() == Some(Limit::AUTO) || is_beyond {
             *place = Value::Float(limit);
         }
+    }
+}
+
+/// Intervals that the vehicle's file states are around its values. Where another layer has put a value in the place of one,
+/// the interval that does not hold it says nothing of it.
+fn drop_intervals_of_other_values(values: &mut Table, origins: &BTreeMap<String, String>) {
+    let Some(stated) = find(values, "vehicle.uncertainty").and_then(Value::as_table) else {
+        return;
+    };
+    // A line's number stands behind the file's name.
+    let layer = |key: &str| origins.get(key).map(|it| it.rsplit_once(':').map_or(&**it, |it| it.0));
+    let is_of_another = |(name, spread): &(&String, &Value)| {
+        let Some([low, high]) = spread.as_array().map(Vec::as_slice) else { return false };
+        let (of_value, of_interval) =
+            (format!("vehicle.{name}"), format!("vehicle.uncertainty.{name}"));
+        let value = find(values, &of_value).and_then(number);
+        let is_within = match (number(low), number(high), value) {
+            (Some(low), Some(high), Some(value)) => (low..=high).contains(&value),
+            _ => true,
+        };
+        !is_within && layer(&of_value).is_some() && layer(&of_value) != layer(&of_interval)
+    };
+    let others: Vec<String> =
+        stated.iter().filter(is_of_another).map(|(name, _)| name.clone()).collect();
+    if let Some(stated) = find_mut(values, "vehicle.uncertainty").and_then(Value::as_table_mut) {
+        others.iter().for_each(|name| drop(stated.remove(name)));
     }
 }
 

@@ -207,11 +207,18 @@ fn history_of(set: &mut Table) -> Result<&mut ArrayOfTables, String> {
     Ok(history.as_array_of_tables_mut().expect("just made"))
 }
 
-/// Replaces a value, and keeps the comment of the old one.
+/// Replaces a value, and keeps the comments of the old one.
 fn put(set: &mut Table, name: &str, mut value: Value) {
-    let old = set.get(name).and_then(Item::as_value);
-    *value.decor_mut() = old.map(|old| old.decor().clone()).unwrap_or_default();
-    set.insert(name, Item::Value(value));
+    match set.get_mut(name) {
+        // In its place: a key that is put in anew loses the comments above it.
+        Some(Item::Value(old)) => {
+            *value.decor_mut() = old.decor().clone();
+            *old = value;
+        }
+        _ => {
+            set.insert(name, Item::Value(value));
+        }
+    }
 }
 
 /// Replaces a table. A table from elsewhere contains its place in that document, which must not become

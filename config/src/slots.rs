@@ -127,10 +127,15 @@ impl RunConfig {
             let noted = set.provenance.as_ref().and_then(|it| it.path_hash.as_deref());
             set.law == law && noted.is_some_and(|noted| self.is_path(noted))
         };
-        if let Some((key, set)) = gains.iter().find(is_own) {
+        let of_name = held(gains, &self.gains_name(), law);
+        // Those under the path's own name, or else the newest, by whatever name its file had then.
+        let promoted_at =
+            |(_, set): &(&String, &TunedGains)| Some(set.provenance.as_ref()?.promoted_at.clone());
+        let newest = || gains.iter().filter(is_own).max_by_key(promoted_at);
+        if let Some((key, set)) = of_name.filter(is_own).or_else(newest) {
             return Some(Held::Own(key, set));
         }
-        if let Some((key, set)) = held(gains, &self.gains_name(), law) {
+        if let Some((key, set)) = of_name {
             let is_others = match &set.provenance {
                 Some(it) => match &it.path_hash {
                     Some(noted) => !self.is_path(noted),
@@ -226,6 +231,14 @@ mod tests {
         let own = |config: &RunConfig| matches!(config.gains_of_path(), Some(Held::Own(..)));
         assert!(own(&on_path("oval.csv", OVAL, &car)));
         assert!(own(&on_path("renamed.csv", OVAL, &car)));
+        // Under its own name first, whatever the same path was called before.
+        let earlier =
+            car.clone() + &car.replace("base = 'tesla_model_3'", "").replace(".oval", ".a");
+        let config = on_path("oval.csv", OVAL, &earlier);
+        assert!(matches!(config.gains_of_path(), Some(Held::Own(key, _)) if key == "oval"));
+        let renamed = earlier.replacen("promoted_at = 'x'", "promoted_at = 'y'", 1);
+        let config = on_path("renamed.csv", OVAL, &renamed);
+        assert!(matches!(config.gains_of_path(), Some(Held::Own(key, _)) if key == "oval"));
         let other = on_path("oval.csv", OTHER, &car);
         assert!(matches!(other.gains_of_path(), Some(Held::Others(..))));
         assert_eq!(on_path("renamed.csv", OTHER, &car).gains_of_path(), None);

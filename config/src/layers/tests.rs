@@ -56,6 +56,31 @@ fn a_steering_rate_of_the_user_bounds_the_gate_s_and_not_the_excitation_s() {
 }
 
 #[test]
+fn an_interval_around_a_value_that_another_layer_replaces_is_none_of_the_other_value() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("car.toml");
+    let text = "base = 'ackermann'\nname = 'mine'\nwheelbase_m = 2.6\nsteering_delay_s = 0.14\n\
+                [uncertainty]\nidentified = true\nwheelbase_m = [2.59, 2.61]\nsteering_delay_s = [0.13, 0.15]\n";
+    let resolve = |text: &str, sets: &[&str]| {
+        std::fs::write(&file, text).unwrap();
+        let mut layers = Layers::maneuver("smooth_lane").unwrap();
+        layers.set_vehicle("--vehicle", file.to_str().unwrap()).unwrap();
+        sets.iter().for_each(|set| layers.set(set).unwrap());
+        layers.resolve()
+    };
+    let stated = |sets: &[&str]| {
+        let uncertainty = resolve(text, sets).unwrap().vehicle.uncertainty;
+        uncertainty.within.keys().cloned().collect::<Vec<_>>()
+    };
+    assert_eq!(stated(&[]), ["steering_delay_s", "wheelbase_m"]);
+    assert_eq!(stated(&["vehicle.steering_delay_s=0.18"]), ["wheelbase_m"]);
+    assert_eq!(stated(&["vehicle.steering_delay_s=0.145"]), ["steering_delay_s", "wheelbase_m"]);
+    // The file's own must fit each other.
+    let why = message(resolve(&text.replace("= 2.6\n", "= 2.7\n"), &[]));
+    assert!(why.contains("vehicle.uncertainty.wheelbase_m"), "{why}");
+}
+
+#[test]
 fn a_vehicle_that_is_slower_than_every_maneuver_is_a_vehicle() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("agv.toml");

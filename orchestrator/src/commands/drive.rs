@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use config::promote::geometry_difference;
 use config::slots::{self, Held};
 use config::{
-    Envelope, MadeFor, Parameters, RunConfig, SweepKind, SweepPlan, TunedGains, read_small,
+    Envelope, MadeFor, Parameters, RunConfig, SweepKind, SweepPlan, TunedGains, Vehicle, read_small,
 };
 use outcome::{Outcome, RESULT_FILE, read_result};
 
@@ -283,7 +284,11 @@ fn tell_what_differs(run: &Path, config: &RunConfig) {
         return;
     };
     let run = run.display();
-    if of.is_own_path() && config.is_own_path() && of.path_hash() != config.path_hash() {
+    let is_other_path = match of.is_own_path() && config.is_own_path() {
+        true => of.path_hash() != config.path_hash(),
+        false => of.maneuver != config.maneuver,
+    };
+    if is_other_path {
         tell_once(&format!("--from {run}: its gains were found on another path"));
     }
     if of.vehicle.name != config.vehicle.name {
@@ -291,8 +296,26 @@ fn tell_what_differs(run: &Path, config: &RunConfig) {
         tell_once(&format!(
             "--from {run}: its gains were found for {theirs}, and this drives {ours}"
         ));
+    } else if let Some((key, then, now)) = vehicle_difference(&of.vehicle, &config.vehicle) {
+        tell_once(&format!(
+            "--from {run}: its gains were found for a vehicle whose {key} was {then}, and here it is {now}"
+        ));
     }
     tell_compensation(&format!("--from {run}"), of.controller.compensate_dead_time, config);
+}
+
+/// The first value by which vehicles of one name differ in how they follow commands.
+fn vehicle_difference(a: &Vehicle, b: &Vehicle) -> Option<(&'static str, String, String)> {
+    let others = [
+        ("steering_delay_s", a.steering_delay_s, b.steering_delay_s),
+        ("steering_lag_s", a.steering_lag_s, b.steering_lag_s),
+        ("steering_gain", a.steering_gain, b.steering_gain),
+        ("steering_offset_rad", a.steering_offset_rad, b.steering_offset_rad),
+        ("speed_delay_s", a.speed_delay_s, b.speed_delay_s),
+    ];
+    let differs = others.into_iter().find(|(_, a, b)| a != b);
+    geometry_difference(a, b)
+        .or_else(|| differs.map(|(key, a, b)| (key, a.to_string(), b.to_string())))
 }
 
 /// Tells if gains were found with the dead time compensated, and this drives without, or the other way around.

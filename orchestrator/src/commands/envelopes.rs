@@ -6,7 +6,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use config::{Envelope, MadeFor, Parameters, RunConfig, read_small, slots};
+use config::slots::{self, Held};
+use config::{Envelope, MadeFor, Parameters, RunConfig, read_small};
 
 use crate::words::Failure;
 
@@ -97,7 +98,11 @@ pub(crate) fn of_promoted(
 ) -> Result<Option<Found>, Failure> {
     let vehicle = Path::new(&config.vehicle_preset);
     let name = match sets {
-        [_] => slots::place(&config.vehicle.gains, &config.gains_name(), &config.law.name),
+        [_] => match config.gains_of_path() {
+            // Under another name, if the path's file had another one then.
+            Some(Held::Own(key, _)) => key.clone(),
+            _ => slots::place(&config.vehicle.gains, &config.gains_name(), &config.law.name),
+        },
         _ => config.maneuver.clone(),
     };
     let file = beside(vehicle, &name);

@@ -24,6 +24,8 @@ const KEYS: [&str; 5] = [
     "vehicle.safety.watch_response='off'",
 ];
 
+/// The least speed of the excitation.
+const LEAST_MPS: f64 = 0.1;
 /// Speed of the path, which nobody follows.
 const PATH_SPEED_MPS: f64 = 1.5;
 
@@ -40,8 +42,18 @@ pub(crate) fn excite(
     let vehicle = vehicle_of(Path::new(&args.vehicle))?;
     // As much lateral acceleration for its size as a full-size car has.
     let usual_mps = 2.0 * (vehicle.wheelbase_m / FULL_SIZE_WHEELBASE_M).sqrt();
-    let usual_mps = ((usual_mps * 100.0).round() / 100.0).min(vehicle.speed_limit_mps);
-    let speed_mps = args.speed.unwrap_or(usual_mps);
+    // The fastest part of the drive is twice as fast as the steps.
+    let usual_mps =
+        ((usual_mps * 100.0).round() / 100.0).min(floor_milli(0.5 * vehicle.speed_limit_mps));
+    let speed_mps = args.speed.unwrap_or(usual_mps.max(LEAST_MPS));
+    if 2.0 * speed_mps > vehicle.speed_limit_mps {
+        tell!(
+            "pathtune: parts of the drive are at {:.2} m/s, and the vehicle's limit of {} m/s cuts them; less --speed tells more of \
+             its speed loop",
+            2.0 * speed_mps,
+            vehicle.speed_limit_mps
+        );
+    }
     let (usual_rad, mut turn_rad) = if args.compact { (0.2, 0.25) } else { (0.25, 0.0) };
     let mut steering_rad = args.steering.unwrap_or(usual_rad);
     // A car whose wheels turn less gets smaller steps, unless the user says how large they are.
@@ -53,6 +65,9 @@ pub(crate) fn excite(
             "pathtune: the wheels turn by {:.3} rad at most: steps of {steering_rad} rad, around {turn_rad} rad",
             vehicle.steering_limit_rad
         );
+    }
+    if args.steering.is_some() && steering_rad <= vehicle.steering_limit_rad {
+        turn_rad = floor_milli(turn_rad.min(vehicle.steering_limit_rad - steering_rad));
     }
     if steering_rad + turn_rad > vehicle.steering_limit_rad {
         return Err(Failure::User(format!(
